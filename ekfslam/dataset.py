@@ -1,0 +1,576 @@
+"""The record that goes into every estimator: controls, observations, and what is known of truth.
+
+Numbering: pose k is the pose after control k - 1, so K controls make K + 1 poses, and the
+observations of step k are taken at pose k.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ekfslam import geometry as geo
+from ekfslam.errors import InputError, UnsupportedError
+from ekfslam.geometry import Array
+from ekfslam.models.motion import Increments, MotionModel, checked_covariance
+from ekfslam.models.sensors import Sensor
+from ekfslam.storage import Reader, Writer
+
+NO_LANDMARK = -1
+FORMAT = "ekfslam-dataset"
+VERSION = 1
+
+
+def _array(value: Any, dtype: Any, shape: tuple[int | None, ...], name: str) -> np.ndarray:
+    """A read-only array of the given shape (None: any length), or an error that names it."""
+    try:
+        array = np.array(value, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} cannot be read as numbers: {error}") from None
+    if len(array.shape) != len(shape) or any(
+        want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
+    ):
+        wanted = ", ".join("n" if want is None else str(want) for want in shape)
+        raise InputError(f"{name} must have shape ({wanted}), got {array.shape}")
+    array.flags.writeable = False
+    return array
+
+
+def _finite(array: np.ndarray, name: str) -> None:
+    bad = ~np.isfinite(array)
+    if bad.any():
+        row = int(np.argwhere(bad)[0][0])
+        raise InputError(f"{name} holds NaN or infinite values, first in row {row}")
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkMap:
+    """Point landmarks: identities and positions.
+
+    Parameters
+    ----------
+    ids : (L,) array_like of int
+        Distinct, not negative.
+    positions : (L, 2) array_like
+        In the world [m].
+    """
+
+    ids: np.ndarray
+    positions: Array
+
+    def __post_init__(self) -> None:
+        ids = _array(self.ids, np.int64, (None,), "landmark ids")
+        positions = _array(self.positions, float, (len(ids), 2), "landmark positions")
+        _finite(positions, "landmark positions")
+        if (ids < 0).any() or len(np.unique(ids)) != len(ids):
+            raise InputError("landmark ids must be distinct and not negative")
+        object.__setattr__(self, "ids", ids)
+        object.__setattr__(self, "positions", positions)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of the first pose.
+
+    Parameters
+    ----------
+    mean : (3,) array_like
+        Pose in the world [m, m, rad].
+    covariance : (3, 3) array_like
+        Additive in (x, y, theta); zero for an exactly known start.
+    """
+
+    mean: Array = field(default_factory=lambda: np.zeros(3))
+    covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
+
+    def __post_init__(self) -> None:
+        mean = _array(self.mean, float, (3,), "prior mean")
+        _finite(mean, "prior mean")
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(
+            self, "covariance", checked_covariance(self.covariance, 3, "prior covariance")
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """One robot: how it moves, what it was told, where it started, where it truly was.
+
+    Parameters
+    ----------
+    motion : MotionModel
+    controls : (K, m) array_like
+        Columns as `MotionModel.control_names`.
+    prior : Prior
+    truth : (K + 1, 3) array_like, optional
+        True poses [m, m, rad], where known.
+    name : str
+    """
+
+    motion: MotionModel
+    controls: Array
+    prior: Prior = field(default_factory=Prior)
+    truth: Array | None = None
+    name: str = "robot"
+
+    def __post_init__(self) -> None:
+        width = len(self.motion.control_names)
+        controls = _array(self.controls, float, (None, width), f"controls of {self.name}")
+        _finite(controls, f"controls of {self.name}")
+        object.__setattr__(self, "controls", controls)
+        if self.truth is not None:
+            truth = _array(self.truth, float, (len(controls) + 1, 3), f"truth of {self.name}")
+            _finite(truth, f"truth of {self.name}")
+            object.__setattr__(self, "truth", truth)
+
+    @cached_property
+    def increments(self) -> Increments:
+        """Body increments of the whole run with their covariances, computed once."""
+        return self.motion.increments(self.controls)
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Sightings as flat columns, one row each, in order of step.
+
+    Parameters
+    ----------
+    step : (M,) array_like of int
+        Pose at which the sighting was made, not decreasing.
+    values : (M, 2) array_like
+        What the sensor reports, in the order of its kind.
+    landmark : (M,) array_like of int, optional
+        Identity of the landmark, -1 where not known (the default).
+    sensor, robot : (M,) array_like of int, optional
+        Indices into the dataset's sensors and robots; 0 by default.
+    time : (M,) array_like, optional
+        [s]; the step's time by default.
+    covariance : (M, 2, 2) array_like, optional
+        Noise of each row, where the set gives it; the sensor's by default.
+    observed_robot : (M,) array_like of int, optional
+        Robot seen instead of a landmark, -1 for none.
+    descriptor : (M,) array_like, optional
+        Such as a trunk diameter [m]; NaN where missing.
+    """
+
+    step: np.ndarray
+    values: Array
+    landmark: np.ndarray | None = None
+    sensor: np.ndarray | None = None
+    robot: np.ndarray | None = None
+    time: Array | None = None
+    covariance: Array | None = None
+    observed_robot: np.ndarray | None = None
+    descriptor: Array | None = None
+
+    def __post_init__(self) -> None:
+        step = _array(self.step, np.int64, (None,), "observations.step")
+        count = len(step)
+        columns: dict[str, tuple[Any, Any, tuple[int | None, ...]]] = {
+            "step": (step, np.int64, (count,)),
+            "values": (self.values, float, (count, 2)),
+            "landmark": (_default(self.landmark, count, NO_LANDMARK), np.int64, (count,)),
+            "sensor": (_default(self.sensor, count, 0), np.int64, (count,)),
+            "robot": (_default(self.robot, count, 0), np.int64, (count,)),
+        }
+        optional: dict[str, tuple[Any, tuple[int | None, ...]]] = {
+            "time": (float, (count,)),
+            "covariance": (float, (count, 2, 2)),
+            "observed_robot": (np.int64, (count,)),
+            "descriptor": (float, (count,)),
+        }
+        for name, (dtype, shape) in optional.items():
+            if getattr(self, name) is not None:
+                columns[name] = (getattr(self, name), dtype, shape)
+        for name, (value, dtype, shape) in columns.items():
+            object.__setattr__(self, name, _array(value, dtype, shape, f"observations.{name}"))
+        for name in ("values", "time", "covariance"):
+            if getattr(self, name) is not None:
+                _finite(getattr(self, name), f"observations.{name}")
+
+    def __len__(self) -> int:
+        return len(self.step)
+
+
+def _default(column: Any, count: int, value: int) -> Any:
+    return np.full(count, value) if column is None else column
+
+
+class Sightings(NamedTuple):
+    """Observations as an estimator reads them: what the sensors say has been looked up.
+
+    Attributes
+    ----------
+    kind : (m,) ndarray of int
+        Code of the view, `ekfslam.models.sensors.VIEWS`.
+    mount : (m, 3) ndarray
+        Pose of the sensor on the body.
+    values : (m, 2) ndarray
+    covariance : (m, 2, 2) ndarray
+        Noise of each measurement.
+    landmark : (m,) ndarray of int
+        Identity, -1 where not known.
+    """
+
+    kind: np.ndarray
+    mount: Array
+    values: Array
+    covariance: Array
+    landmark: np.ndarray
+
+    @classmethod
+    def of(cls, sensor: Sensor, values: Any, landmark: Any = None) -> Sightings:
+        """Sightings of one sensor, for use step by step.
+
+        Parameters
+        ----------
+        sensor : Sensor
+        values : (m, 2) array_like
+        landmark : (m,) array_like of int, optional
+        """
+        values = _array(values, float, (None, 2), "values")
+        _finite(values, "values")
+        count = len(values)
+        return cls(
+            np.full(count, sensor.view.code),
+            np.broadcast_to(sensor.mount, (count, 3)).copy(),
+            values,
+            sensor.covariances(values),
+            _array(_default(landmark, count, NO_LANDMARK), np.int64, (count,), "landmark"),
+        )
+
+    def rows(self, start: int, stop: int) -> Sightings:
+        """The rows from start to before stop, as views."""
+        return Sightings(*(column[start:stop] for column in self))
+
+
+class Step(NamedTuple):
+    """What happens at one step: the robot moves, then it looks.
+
+    Attributes
+    ----------
+    increment : (3,) ndarray
+        From the pose before; zero for the first pose.
+    covariance : (3, 3) ndarray
+        Of the increment, in the frame of the pose before.
+    observations : Sightings
+    """
+
+    increment: Array
+    covariance: Array
+    observations: Sightings
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """One SLAM problem, simulated or recorded.
+
+    Parameters
+    ----------
+    name : str
+    robots : tuple of Robot
+        One for the estimators of today; the columns of `observations` are ready for several.
+    times : (K + 1,) array_like
+        Strictly increasing times of the poses [s].
+    sensors : tuple of Sensor
+    observations : Observations
+    known_map : LandmarkMap, optional
+        A map that estimators may use.
+    true_map : LandmarkMap, optional
+        For evaluation only.
+    true_landmark : (M,) array_like of int, optional
+        True identity of each observation, -1 for clutter; for evaluation only.
+    provenance : str
+        Where the data come from.
+    seed : int, optional
+        Of the simulation.
+
+    Raises
+    ------
+    InputError
+        If anything contradicts anything else; the message names the column and the row.
+    """
+
+    name: str
+    robots: tuple[Robot, ...]
+    times: Array
+    sensors: tuple[Sensor, ...]
+    observations: Observations
+    known_map: LandmarkMap | None = None
+    true_map: LandmarkMap | None = None
+    true_landmark: np.ndarray | None = None
+    provenance: str = ""
+    seed: int | None = None
+
+    def __post_init__(self) -> None:
+        if not self.robots:
+            raise InputError("a dataset needs at least one robot")
+        object.__setattr__(self, "robots", tuple(self.robots))
+        object.__setattr__(self, "sensors", tuple(self.sensors))
+        times = _array(self.times, float, (None,), "times")
+        _finite(times, "times")
+        object.__setattr__(self, "times", times)
+        late = np.flatnonzero(np.diff(times) <= 0)
+        if len(late):
+            raise InputError(
+                f"times must increase: times[{late[0] + 1}] = {times[late[0] + 1]} "
+                f"does not come after {times[late[0]]}"
+            )
+        for robot in self.robots:
+            if len(robot.controls) + 1 != len(times):
+                raise InputError(
+                    f"{len(robot.controls)} controls of {robot.name} make "
+                    f"{len(robot.controls) + 1} poses, but there are {len(times)} times"
+                )
+        self._check_observations()
+        if self.true_landmark is not None:
+            column = _array(self.true_landmark, np.int64, (len(self.observations),), "true_landmark")
+            object.__setattr__(self, "true_landmark", column)
+
+    def _check_observations(self) -> None:
+        o = self.observations
+        self._check_range(o.step, len(self.times), "step", "pose")
+        self._check_range(o.sensor, len(self.sensors), "sensor", "sensor")
+        self._check_range(o.robot, len(self.robots), "robot", "robot")
+        back = np.flatnonzero(np.diff(o.step) < 0)
+        if len(back):
+            raise InputError(f"observations.step goes back at row {back[0] + 1}; sort by step")
+        for index, sensor in enumerate(self.sensors):
+            if sensor.view.names[0] == "range":
+                negative = np.flatnonzero((o.sensor == index) & (o.values[:, 0] < 0))
+                if len(negative):
+                    raise InputError(
+                        f"negative range {o.values[negative[0], 0]} in row {negative[0]} "
+                        f"of the observations of {sensor.name}"
+                    )
+        if o.covariance is not None:
+            scale = np.abs(o.covariance).max(axis=(1, 2), initial=0.0)
+            smallest = np.linalg.eigvalsh(o.covariance)[:, 0]
+            lopsided = np.abs(o.covariance[:, 0, 1] - o.covariance[:, 1, 0])
+            bad = np.flatnonzero((smallest < -1e-9 * scale) | (lopsided > 1e-9 * scale))
+            if len(bad):
+                raise InputError(
+                    f"observations.covariance of row {bad[0]} is not positive semi-definite"
+                )
+        self._check_twice()
+
+    @staticmethod
+    def _check_range(column: np.ndarray, count: int, name: str, what: str) -> None:
+        bad = np.flatnonzero((column < 0) | (column >= count))
+        if len(bad):
+            raise InputError(
+                f"observations.{name} is {column[bad[0]]} in row {bad[0]}, "
+                f"but there are {count} {what}s (0 to {count - 1})"
+            )
+
+    def _check_twice(self) -> None:
+        """One sensor cannot see the same landmark twice at the same instant."""
+        o = self.observations
+        known = np.flatnonzero(o.landmark >= 0)
+        key = np.column_stack([o.robot, o.sensor, o.landmark, o.step])[known].astype(float)
+        key = np.column_stack([key, self.observation_times[known]])
+        _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
+        if (count > 1).any():
+            row = known[first[np.flatnonzero(count > 1)[0]]]
+            raise InputError(
+                f"landmark {o.landmark[row]} is observed twice at the same instant by sensor "
+                f"{self.sensors[o.sensor[row]].name} (step {o.step[row]}, row {row})"
+            )
+
+    # What estimators and evaluation read ----------------------------------------------------
+
+    @property
+    def robot(self) -> Robot:
+        """The only robot.
+
+        Raises
+        ------
+        UnsupportedError
+            If there are several.
+        """
+        if len(self.robots) != 1:
+            raise UnsupportedError(f"{self.name} has {len(self.robots)} robots; one is supported")
+        return self.robots[0]
+
+    @property
+    def prior(self) -> Prior:
+        """Prior of the only robot."""
+        return self.robot.prior
+
+    @property
+    def truth(self) -> Array | None:
+        """True poses (K + 1, 3) of the only robot, if known."""
+        return self.robot.truth
+
+    @property
+    def poses(self) -> int:
+        """Number of poses, K + 1."""
+        return len(self.times)
+
+    @property
+    def observation_times(self) -> Array:
+        """Time of each observation [s], (M,)."""
+        time = self.observations.time
+        return self.times[self.observations.step] if time is None else time
+
+    @property
+    def association_known(self) -> bool:
+        """Whether every observation carries the identity of its landmark."""
+        return bool((self.observations.landmark >= 0).all())
+
+    @cached_property
+    def sightings(self) -> Sightings:
+        """Observations with their sensors looked up, all steps."""
+        o = self.observations
+        if o.observed_robot is not None and (o.observed_robot >= 0).any():
+            raise UnsupportedError(f"{self.name} has robots that see robots; not supported yet")
+        kinds = np.array([s.view.code for s in self.sensors], dtype=np.int64)
+        mounts = np.array([s.mount for s in self.sensors]).reshape(-1, 3)
+        noise = np.zeros((len(o), 2, 2))
+        for index, sensor in enumerate(self.sensors):
+            rows = o.sensor == index
+            noise[rows] = sensor.covariances(o.values[rows])
+        if o.covariance is not None:
+            noise = o.covariance
+        assert o.landmark is not None
+        return Sightings(
+            kinds[o.sensor], mounts[o.sensor], o.values, np.ascontiguousarray(noise), o.landmark
+        )
+
+    @cached_property
+    def offsets(self) -> np.ndarray:
+        """Row of the first observation of each step, (K + 2,): step k has offsets[k:k + 2]."""
+        return np.searchsorted(self.observations.step, np.arange(self.poses + 1))
+
+    @cached_property
+    def moves(self) -> Increments:
+        """Increment that leads to each pose, (K + 1, 3): the first one is zero."""
+        deltas, covariances = self.robot.increments
+        return Increments(
+            np.concatenate([np.zeros((1, 3)), deltas]),
+            np.concatenate([np.zeros((1, 3, 3)), covariances]),
+        )
+
+    def steps(self) -> Iterator[Step]:
+        """What happens step by step, from pose 0 to pose K."""
+        moves = self.moves
+        for k in range(self.poses):
+            rows = self.sightings.rows(int(self.offsets[k]), int(self.offsets[k + 1]))
+            yield Step(moves.deltas[k], moves.covariances[k], rows)
+
+    def moved(self, motion: Any) -> Dataset:
+        """The same run in a world moved by a rigid motion.
+
+        Parameters
+        ----------
+        motion : (3,) array_like
+            Pose g; poses become g * pose, landmarks g * landmark.
+        """
+        turn = geo.heading_block(np.asarray(motion, dtype=float)[2])
+
+        def moved_map(landmarks: LandmarkMap | None) -> LandmarkMap | None:
+            if landmarks is None:
+                return None
+            return LandmarkMap(landmarks.ids, geo.from_frame(motion, landmarks.positions))
+
+        robots = tuple(
+            replace(
+                r,
+                prior=Prior(
+                    geo.compose(motion, r.prior.mean), geo.congruence(turn, r.prior.covariance)
+                ),
+                truth=None if r.truth is None else geo.compose(motion, r.truth),
+            )
+            for r in self.robots
+        )
+        return replace(
+            self,
+            robots=robots,
+            known_map=moved_map(self.known_map),
+            true_map=moved_map(self.true_map),
+        )
+
+    # Files ----------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> None:
+        """Write to one file without loss; the file appears whole or not at all.
+
+        Parameters
+        ----------
+        path : path
+            The usual ending is ``.npz``.
+        """
+        writer = Writer(FORMAT, VERSION)
+        writer.header.update(
+            name=self.name,
+            provenance=self.provenance,
+            seed=self.seed,
+            sensors=[s.to_dict() for s in self.sensors],
+            robots=[{"name": r.name, "motion": r.motion.to_dict()} for r in self.robots],
+        )
+        writer.put("times", self.times)
+        writer.put("true_landmark", self.true_landmark)
+        for index, robot in enumerate(self.robots):
+            writer.put(f"robot{index}.controls", robot.controls)
+            writer.put(f"robot{index}.prior_mean", robot.prior.mean)
+            writer.put(f"robot{index}.prior_covariance", robot.prior.covariance)
+            writer.put(f"robot{index}.truth", robot.truth)
+        for column in fields(Observations):
+            writer.put(f"observations.{column.name}", getattr(self.observations, column.name))
+        for name in ("known_map", "true_map"):
+            landmarks = getattr(self, name)
+            if landmarks is not None:
+                writer.put(f"{name}.ids", landmarks.ids)
+                writer.put(f"{name}.positions", landmarks.positions)
+        writer.save(path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Dataset:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        FileFormatError
+            If the file is missing, damaged, of another format or of a newer version.
+        """
+        with Reader(path, FORMAT, VERSION) as reader:
+            header = reader.header
+            robots = tuple(
+                Robot(
+                    MotionModel(**entry["motion"]),
+                    reader.need(f"robot{index}.controls"),
+                    Prior(
+                        reader.need(f"robot{index}.prior_mean"),
+                        reader.need(f"robot{index}.prior_covariance"),
+                    ),
+                    reader.get(f"robot{index}.truth"),
+                    entry["name"],
+                )
+                for index, entry in enumerate(header["robots"])
+            )
+            columns = {c.name: reader.get(f"observations.{c.name}") for c in fields(Observations)}
+
+            def landmarks(name: str) -> LandmarkMap | None:
+                ids = reader.get(f"{name}.ids")
+                return None if ids is None else LandmarkMap(ids, reader.need(f"{name}.positions"))
+
+            return cls(
+                header["name"],
+                robots,
+                reader.need("times"),
+                tuple(Sensor(**entry) for entry in header["sensors"]),
+                Observations(**columns),
+                landmarks("known_map"),
+                landmarks("true_map"),
+                reader.get("true_landmark"),
+                header["provenance"],
+                header["seed"],
+            )

@@ -1,0 +1,231 @@
+"""The record that comes out of every estimator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ekfslam.geometry import Array
+from ekfslam.storage import Reader, Writer
+
+FORMAT = "ekfslam-estimate"
+VERSION = 1
+
+OK, DIVERGED, FAILED, SKIPPED = "ok", "diverged", "failed", "skipped"
+
+
+class Decision(IntEnum):
+    """What an estimator made of an observation."""
+
+    ACCEPTED = 0  # corrected the estimate of a mapped landmark
+    NEW = 1  # put a landmark into the map
+    REJECTED = 2  # not used: without identity, or outside what is allowed
+    AMBIGUOUS = 3  # not used: too far to accept, too near to be new, or a second claim
+
+
+def _freeze(record: Any) -> None:
+    """Make the arrays of a record read-only."""
+    for entry in fields(record):
+        value = getattr(record, entry.name)
+        if isinstance(value, np.ndarray):
+            view = value.view()
+            view.flags.writeable = False
+            object.__setattr__(record, entry.name, view)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses of a run.
+
+    Attributes
+    ----------
+    poses : (K + 1, 3) ndarray
+        In the world [m, m, rad].
+    covariances : (K + 1, 3, 3) ndarray or None
+        Additive in (x, y, theta), world frame; NaN where not computed.
+    """
+
+    poses: Array
+    covariances: Array | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkEstimates:
+    """The final map.
+
+    Attributes
+    ----------
+    ids : (L,) ndarray of int
+        The dataset's identities where association is known, the estimator's own otherwise.
+    positions : (L, 2) ndarray
+        In the world [m].
+    covariances : (L, 2, 2) ndarray or None
+        Marginal covariance of each [m^2].
+    covariance : (2 L, 2 L) ndarray or None
+        Joint covariance, where the estimator has it.
+    """
+
+    ids: np.ndarray
+    positions: Array
+    covariances: Array | None = None
+    covariance: Array | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    """What each observation met, in the order of the dataset's rows.
+
+    Attributes
+    ----------
+    decision : (M,) ndarray of int
+        A `Decision` per observation.
+    landmark : (M,) ndarray of int
+        Landmark of the estimate that it was taken for, -1 for none.
+    innovation : (M, 2) ndarray
+        Measured minus expected, angles wrapped; NaN for a new landmark or where there is none.
+    S : (M, 2, 2) ndarray
+        Covariance of the innovation; NaN likewise.
+    """
+
+    decision: np.ndarray
+    landmark: np.ndarray
+    innovation: Array
+    S: Array
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+    def __len__(self) -> int:
+        return len(self.decision)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What an estimator says of a dataset.
+
+    Attributes
+    ----------
+    estimator, dataset : str
+        Names.
+    association : str
+        "known", or the method's name.
+    online : Trajectory or None
+        Pose k from measurements up to k.
+    smoothed : Trajectory or None
+        Every pose from all measurements.
+    landmarks : LandmarkEstimates or None
+        The map at the end.
+    joint_covariance : (3 + 2 L, 3 + 2 L) ndarray or None
+        Of the final pose and the map, in this order, additive.
+    innovations : Innovations or None
+    step_nis : (K + 1,) ndarray or None
+        Joint squared Mahalanobis norm of the innovations of a step; NaN where there were none.
+    step_dof : (K + 1,) ndarray of int or None
+        Rows in it.
+    step_seconds : (K + 1,) ndarray or None
+        Wall time of each step [s].
+    time_total, time_marginals : float
+        Wall time from dataset to means, and of recovering covariances beyond it [s]; a filter
+        computes both at once and has `time_marginals` 0.
+    graph_error : float
+        Objective of a smoother at its estimate (half the squared whitened residuals).
+    graph_dof : int
+        Rows of its residual minus dimensions of its state.
+    status : {"ok", "diverged", "failed", "skipped"}
+    message : str
+        What there is to say: the reason of a status, floors of noise used, ...
+    options : dict
+        The estimator's settings.
+    """
+
+    estimator: str
+    dataset: str
+    association: str = ""
+    online: Trajectory | None = None
+    smoothed: Trajectory | None = None
+    landmarks: LandmarkEstimates | None = None
+    joint_covariance: Array | None = None
+    innovations: Innovations | None = None
+    step_nis: Array | None = None
+    step_dof: np.ndarray | None = None
+    step_seconds: Array | None = None
+    time_total: float = float("nan")
+    time_marginals: float = float("nan")
+    graph_error: float = float("nan")
+    graph_dof: int = 0
+    status: str = OK
+    message: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+    @property
+    def series(self) -> dict[str, Trajectory]:
+        """The trajectories there are, by name: "online", "smoothed"."""
+        both = {"online": self.online, "smoothed": self.smoothed}
+        return {name: trajectory for name, trajectory in both.items() if trajectory is not None}
+
+    @property
+    def final_trajectory(self) -> Trajectory | None:
+        """The series that knows most: smoothed, or else online."""
+        return self.smoothed if self.smoothed is not None else self.online
+
+    def save(self, path: str | Path) -> None:
+        """Write to one file without loss; the file appears whole or not at all."""
+        writer = Writer(FORMAT, VERSION)
+        parts = ("online", "smoothed", "landmarks", "innovations")
+        writer.header["parts"] = [name for name in parts if getattr(self, name) is not None]
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.name in writer.header["parts"]:
+                for inner in fields(value):
+                    writer.put(f"{entry.name}.{inner.name}", getattr(value, inner.name))
+            elif isinstance(value, np.ndarray):
+                writer.put(entry.name, value)
+            elif entry.name not in parts and value is not None:
+                writer.header[entry.name] = value
+        writer.save(path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Estimate:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        FileFormatError
+            If the file is missing, damaged, of another format or of a newer version.
+        """
+        parts: dict[str, Any] = {
+            "online": Trajectory,
+            "smoothed": Trajectory,
+            "landmarks": LandmarkEstimates,
+            "innovations": Innovations,
+        }
+        with Reader(path, FORMAT, VERSION) as reader:
+            values: dict[str, Any] = {}
+            for entry in fields(cls):
+                if entry.name in parts:
+                    if entry.name in reader.header["parts"]:
+                        kind = parts[entry.name]
+                        values[entry.name] = kind(
+                            **{f.name: reader.get(f"{entry.name}.{f.name}") for f in fields(kind)}
+                        )
+                elif entry.name in reader.header:
+                    values[entry.name] = reader.header[entry.name]
+                elif (array := reader.get(entry.name)) is not None:
+                    values[entry.name] = array
+            return cls(**values)

@@ -1,0 +1,1 @@
+"""Motion and sensor models: functions with their Jacobians."""

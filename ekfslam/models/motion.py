@@ -1,0 +1,311 @@
+"""Motion models as increments of SE(2): ``pose' = pose * delta(u)``.
+
+A model says what body increment ``delta`` a control ``u`` commands, with ``d delta / d u``. All of
+it is vectorised over a run: increments and their covariances do not depend on the state.
+
+==================== ============== ======== ==================================================
+kind                 control        needs    source
+==================== ============== ======== ==================================================
+odometry             dh, dl, dtheta          Ciatto, Eq. 2.2 (Solà, Eqs. 58 to 60)
+advance-turn         dx, dalpha              Solà, C.2.1 (turn after the advance)
+velocity             v, omega, dt            "Extended Kalman Filter SLAM", 3.4; exact arc
+velocity-euler       v, omega, dt            its Euler step
+wheel-speeds         vl, vr, dt     width    Ciatto, A.5; exact arc
+wheel-speeds-euler   vl, vr, dt     width    Ciatto, Eq. 2.1
+wheel-increments     l, r           width    notes on Brenner's lectures; exact arc
+car                  V, gamma, dt   wheelbase Bailey et al. 2006
+==================== ============== ======== ==================================================
+
+Lengths in m, speeds in m/s, angles in rad, times in s. ``width`` is the distance between the
+wheels: 2L of Ciatto, W of the notes on Brenner's lectures. A ``dt`` is exact; the others are noisy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ekfslam.errors import InputError, UnknownNameError
+from ekfslam.geometry import Array, arc_coefficient_derivatives, arc_coefficients, congruence
+
+
+class Increments(NamedTuple):
+    """Body increments of a run and their uncertainty, in the frame of the first pose.
+
+    Attributes
+    ----------
+    deltas : (K, 3) ndarray
+        Increment from pose k to pose k + 1 [m, m, rad].
+    covariances : (K, 3, 3) ndarray
+        ``J Sigma_u J'`` plus lateral slip.
+    """
+
+    deltas: Array
+    covariances: Array
+
+
+def _matrices(rows: list[list[Any]], count: int) -> Array:
+    """Stack rows of scalars and (K,) arrays into (K, m, n)."""
+    return np.stack(
+        [np.stack([np.broadcast_to(x, count) for x in row], axis=-1) for row in rows], axis=-2
+    ).astype(float)
+
+
+def _arc(distance: Array, turn: Array) -> tuple[Array, Array]:
+    """Chord of a constant turn: delta(d, a) = (s(a) d, c(a) d, a), with its Jacobian (K, 3, 2)."""
+    s, c = arc_coefficients(turn)
+    ds, dc = arc_coefficient_derivatives(turn)
+    delta = np.column_stack([s * distance, c * distance, turn])
+    return delta, _matrices([[s, ds * distance], [c, dc * distance], [0, 1]], len(turn))
+
+
+def _euler(distance: Array, turn: Array) -> tuple[Array, Array]:
+    """Straight on, then turn: delta(d, a) = (d, 0, a)."""
+    delta = np.column_stack([distance, np.zeros_like(distance), turn])
+    return delta, _matrices([[1, 0], [0, 0], [0, 1]], len(turn))
+
+
+def _odometry(u: Array) -> tuple[Array, Array]:
+    return u.copy(), np.broadcast_to(np.eye(3), (len(u), 3, 3)).copy()
+
+
+def _advance_turn(u: Array) -> tuple[Array, Array]:
+    return _euler(u[:, 0], u[:, 1])
+
+
+def _from_velocity(step: Callable[[Array, Array], tuple[Array, Array]], u: Array) -> Any:
+    v, omega, dt = u.T
+    delta, jacobian = step(v * dt, omega * dt)
+    return delta, jacobian @ _matrices([[dt, 0, v], [0, dt, omega]], len(u))
+
+
+def _from_wheels(
+    step: Callable[[Array, Array], tuple[Array, Array]], u: Array, width: float
+) -> tuple[Array, Array]:
+    left, right = u.T
+    delta, jacobian = step(0.5 * (left + right), (right - left) / width)
+    return delta, jacobian @ _matrices([[0.5, 0.5], [-1 / width, 1 / width]], len(u))
+
+
+def _from_wheel_speeds(
+    step: Callable[[Array, Array], tuple[Array, Array]], u: Array, width: float
+) -> tuple[Array, Array]:
+    vl, vr, dt = u.T
+    delta, jacobian = _from_wheels(step, np.column_stack([vl * dt, vr * dt]), width)
+    return delta, jacobian @ _matrices([[dt, 0, vl], [0, dt, vr]], len(u))
+
+
+def _car(u: Array, wheelbase: float) -> tuple[Array, Array]:
+    v, gamma, dt = u.T
+    c, s = np.cos(gamma), np.sin(gamma)
+    delta = np.column_stack([v * dt * c, v * dt * s, v * dt * s / wheelbase])
+    jacobian = _matrices(
+        [
+            [dt * c, -v * dt * s, v * c],
+            [dt * s, v * dt * c, v * s],
+            [dt * s / wheelbase, v * dt * c / wheelbase, v * s / wheelbase],
+        ],
+        len(u),
+    )
+    return delta, jacobian
+
+
+class _Kind(NamedTuple):
+    controls: tuple[str, ...]
+    noisy: int  # the first so many controls carry noise
+    parameter: str | None
+    function: Callable[..., tuple[Array, Array]]
+
+
+KINDS: Mapping[str, _Kind] = {
+    "odometry": _Kind(("dh", "dl", "dtheta"), 3, None, _odometry),
+    "advance-turn": _Kind(("dx", "dalpha"), 2, None, _advance_turn),
+    "velocity": _Kind(("v", "omega", "dt"), 2, None, lambda u: _from_velocity(_arc, u)),
+    "velocity-euler": _Kind(("v", "omega", "dt"), 2, None, lambda u: _from_velocity(_euler, u)),
+    "wheel-speeds": _Kind(
+        ("vl", "vr", "dt"), 2, "width", lambda u, width: _from_wheel_speeds(_arc, u, width)
+    ),
+    "wheel-speeds-euler": _Kind(
+        ("vl", "vr", "dt"), 2, "width", lambda u, width: _from_wheel_speeds(_euler, u, width)
+    ),
+    "wheel-increments": _Kind(
+        ("l", "r"), 2, "width", lambda u, width: _from_wheels(_arc, u, width)
+    ),
+    "car": _Kind(("V", "gamma", "dt"), 2, "wheelbase", _car),
+}
+
+
+@dataclass(frozen=True)
+class MotionModel:
+    """How controls move the robot, and how far they can be trusted.
+
+    Parameters
+    ----------
+    kind : str
+        A name of the table above.
+    covariance : (n, n) array_like, optional
+        Constant covariance of the n noisy controls, in their units squared; off-diagonal terms
+        (correlated wheels) allowed.
+    proportional : (float, float), optional
+        p1 and p2 of the notes on Brenner's lectures, for the kinds with a left and a right wheel:
+        ``sigma_l^2 = (p1 l)^2 + (p2 (l - r))^2``, and the same for r. Per-wheel distance, or
+        speed for the wheel-speed kinds. Exactly one of `covariance` and `proportional` is given.
+    slip : float
+        Standard deviation [m] of a lateral slip added to every increment in the frame of its
+        first pose. It makes the covariance of a model with two noisy controls regular.
+    width, wheelbase : float, optional
+        Distance between the wheels, or between the axles [m]; required by the kinds that use it.
+
+    Raises
+    ------
+    InputError
+        For a missing or surplus parameter, or a covariance of the wrong shape or not positive
+        semi-definite.
+    UnknownNameError
+        For an unknown kind.
+    """
+
+    kind: str
+    covariance: Array | None = None
+    proportional: tuple[float, float] | None = None
+    slip: float = 0.0
+    width: float | None = None
+    wheelbase: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise UnknownNameError("motion model", self.kind, KINDS)
+        kind = KINDS[self.kind]
+        for name in ("width", "wheelbase"):
+            value = getattr(self, name)
+            if (value is not None) != (kind.parameter == name):
+                verb = "needs" if value is None else "takes no"
+                raise InputError(f"motion model {self.kind!r} {verb} {name}")
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise InputError(f"{name} must be positive and finite, got {value}")
+        if not (np.isfinite(self.slip) and self.slip >= 0):
+            raise InputError(f"slip must be a non-negative length [m], got {self.slip}")
+        if (self.covariance is None) == (self.proportional is None):
+            raise InputError("give either covariance or proportional (p1, p2) for the control noise")
+        if self.proportional is not None:
+            if "wheel" not in self.kind:
+                raise InputError(f"proportional noise is for wheels, not for {self.kind!r}")
+            p1, p2 = (float(p) for p in self.proportional)
+            if not (np.isfinite([p1, p2]).all() and p1 >= 0 and p2 >= 0):
+                raise InputError(f"p1 and p2 must be non-negative and finite, got {p1}, {p2}")
+            object.__setattr__(self, "proportional", (p1, p2))
+        else:
+            object.__setattr__(
+                self, "covariance", checked_covariance(self.covariance, kind.noisy, "covariance")
+            )
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        """Names of the columns of a control."""
+        return KINDS[self.kind].controls
+
+    @property
+    def noisy_controls(self) -> int:
+        """How many of the first control columns carry noise."""
+        return KINDS[self.kind].noisy
+
+    def increment(self, controls: Any) -> tuple[Array, Array]:
+        """Body increments and their Jacobians.
+
+        Parameters
+        ----------
+        controls : (K, m) array_like
+            One control per row, columns `control_names`.
+
+        Returns
+        -------
+        deltas : (K, 3) ndarray
+            [m, m, rad], in the frame of the pose that the control starts from.
+        jacobians : (K, 3, m) ndarray
+            Derivatives with respect to every control column.
+        """
+        controls = np.asarray(controls, dtype=float)
+        kind = KINDS[self.kind]
+        if controls.ndim != 2 or controls.shape[1] != len(kind.controls):
+            raise InputError(
+                f"controls of {self.kind!r} need the columns {', '.join(kind.controls)}; "
+                f"got an array of shape {controls.shape}"
+            )
+        parameter = {kind.parameter: getattr(self, kind.parameter)} if kind.parameter else {}
+        return kind.function(controls, **parameter)
+
+    def control_covariances(self, controls: Any) -> Array:
+        """Covariance of the noisy controls, (K, n, n)."""
+        controls = np.asarray(controls, dtype=float)
+        if self.covariance is not None:
+            return np.broadcast_to(self.covariance, (len(controls), *self.covariance.shape))
+        assert self.proportional is not None
+        p1, p2 = self.proportional
+        left, right = controls[:, 0], controls[:, 1]
+        turn = (p2 * (left - right)) ** 2
+        zero = np.zeros_like(turn)
+        return _matrices([[(p1 * left) ** 2 + turn, zero], [zero, (p1 * right) ** 2 + turn]], len(left))
+
+    def increments(self, controls: Any) -> Increments:
+        """Increments of a run with their body covariances ``J Sigma_u J' + slip``.
+
+        Parameters
+        ----------
+        controls : (K, m) array_like
+
+        Returns
+        -------
+        Increments
+            In the frame of the first pose of each step: the EKF uses the covariance there; GTSAM's
+            `BetweenFactorPose2` wants it rotated into the frame of the second.
+        """
+        deltas, jacobians = self.increment(controls)
+        covariances = congruence(
+            jacobians[:, :, : self.noisy_controls], self.control_covariances(controls)
+        )
+        covariances[:, 1, 1] += self.slip**2
+        return Increments(deltas, covariances)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for TOML and JSON."""
+        values: dict[str, Any] = {"kind": self.kind, "slip": self.slip}
+        if self.covariance is not None:
+            values["covariance"] = self.covariance.tolist()
+        for name in ("proportional", "width", "wheelbase"):
+            if getattr(self, name) is not None:
+                values[name] = getattr(self, name)
+        return values
+
+
+def checked_covariance(matrix: Any, size: int, name: str) -> Array:
+    """A covariance as a read-only symmetric array.
+
+    Parameters
+    ----------
+    matrix : (size, size) array_like
+    size : int
+    name : str
+        What the error calls it.
+
+    Raises
+    ------
+    InputError
+        If the shape is wrong, a value is not finite, or it is not symmetric positive
+        semi-definite.
+    """
+    matrix = np.array(matrix, dtype=float)
+    if matrix.shape != (size, size):
+        raise InputError(f"{name} must have shape ({size}, {size}), got {matrix.shape}")
+    if not np.isfinite(matrix).all():
+        raise InputError(f"{name} holds NaN or infinite values")
+    scale = max(float(np.abs(matrix).max()), np.finfo(float).tiny)
+    if np.abs(matrix - matrix.T).max() > 1e-9 * scale:
+        raise InputError(f"{name} is not symmetric")
+    matrix = 0.5 * (matrix + matrix.T)
+    if np.linalg.eigvalsh(matrix).min() < -1e-9 * scale:
+        raise InputError(f"{name} is not positive semi-definite")
+    matrix.flags.writeable = False
+    return matrix

@@ -1,0 +1,127 @@
+"""One file per record: arrays and a JSON header in a NumPy archive, without loss.
+
+No pickles: a file from elsewhere can do no harm. The same record gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ekfslam.errors import FileFormatError, InputError
+
+
+@contextmanager
+def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a file that takes the place of `path` only when it has been written whole.
+
+    Parameters
+    ----------
+    path : path
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist or cannot be written to.
+    """
+    path = Path(path)
+    try:
+        handle, scratch = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror}") from None
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            yield stream
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(scratch, 0o666 & ~umask)
+        os.replace(scratch, path)
+    except BaseException:
+        Path(scratch).unlink(missing_ok=True)
+        raise
+
+
+class Writer:
+    """Collects a header and arrays, then writes them as one file."""
+
+    def __init__(self, form: str, version: int) -> None:
+        self.header: dict[str, Any] = {"format": form, "version": version}
+        self._arrays: dict[str, np.ndarray] = {}
+
+    def put(self, name: str, array: np.ndarray | None) -> None:
+        """Add an array; None is left out."""
+        if array is not None:
+            self._arrays[name] = array
+
+    def save(self, path: str | Path) -> None:
+        """Write the file, whole or not at all."""
+        header = np.frombuffer(json.dumps(self.header).encode(), dtype=np.uint8)
+        with atomic_write(path) as stream:
+            np.savez_compressed(stream, header=header, **self._arrays)  # type: ignore[arg-type]
+
+
+class Reader:
+    """Reads what `Writer` wrote; whatever is wrong with the file is a `FileFormatError`."""
+
+    def __init__(self, path: str | Path, form: str, version: int) -> None:
+        self.path, self._form, self._version = Path(path), form, version
+
+    def __enter__(self) -> Reader:
+        if not self.path.is_file():
+            raise FileFormatError(f"{self.path}: no such file")
+        try:
+            with np.load(self.path, allow_pickle=False) as archive:
+                self._arrays = {name: archive[name] for name in archive.files}
+            self.header = json.loads(self._arrays.pop("header").tobytes())
+            form, version = self.header["format"], self.header["version"]
+        except (
+            AttributeError,
+            EOFError,
+            KeyError,
+            NotImplementedError,
+            OSError,
+            TypeError,
+            ValueError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ) as error:
+            raise FileFormatError(
+                f"{self.path}: damaged, or not a file of this package ({error})"
+            ) from None
+        if form != self._form:
+            raise FileFormatError(f"{self.path}: holds {form}, not {self._form}")
+        if not isinstance(version, int) or version > self._version:
+            raise FileFormatError(
+                f"{self.path}: has format version {version}, newer than {self._version}, "
+                "which this ekfslam reads; update ekfslam"
+            )
+        return self
+
+    def get(self, name: str) -> Any:
+        """An array, or None if the file does not hold it."""
+        return self._arrays.get(name)
+
+    def need(self, name: str) -> np.ndarray:
+        """An array that must be there."""
+        if name not in self._arrays:
+            raise FileFormatError(f"{self.path}: damaged, {name} is missing")
+        return self._arrays[name]
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if isinstance(error, KeyError | TypeError | InputError | IndexError):
+            raise FileFormatError(f"{self.path}: damaged ({error})") from None
