@@ -163,9 +163,9 @@ class Observations:
 
     step: np.ndarray
     values: Array
-    landmark: np.ndarray | None = None
-    sensor: np.ndarray | None = None
-    robot: np.ndarray | None = None
+    landmark: np.ndarray = None  # type: ignore[assignment]
+    sensor: np.ndarray = None  # type: ignore[assignment]
+    robot: np.ndarray = None  # type: ignore[assignment]
     time: Array | None = None
     covariance: Array | None = None
     observed_robot: np.ndarray | None = None
@@ -332,7 +332,9 @@ class Dataset:
                 )
         self._check_observations()
         if self.true_landmark is not None:
-            column = _array(self.true_landmark, np.int64, (len(self.observations),), "true_landmark")
+            column = _array(
+                self.true_landmark, np.int64, (len(self.observations),), "true_landmark"
+            )
             object.__setattr__(self, "true_landmark", column)
 
     def _check_observations(self) -> None:
@@ -440,7 +442,6 @@ class Dataset:
             noise[rows] = sensor.covariances(o.values[rows])
         if o.covariance is not None:
             noise = o.covariance
-        assert o.landmark is not None
         return Sightings(
             kinds[o.sensor], mounts[o.sensor], o.values, np.ascontiguousarray(noise), o.landmark
         )

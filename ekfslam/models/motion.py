@@ -189,7 +189,9 @@ class MotionModel:
         if not (np.isfinite(self.slip) and self.slip >= 0):
             raise InputError(f"slip must be a non-negative length [m], got {self.slip}")
         if (self.covariance is None) == (self.proportional is None):
-            raise InputError("give either covariance or proportional (p1, p2) for the control noise")
+            raise InputError(
+                "give either covariance or proportional (p1, p2) for the control noise"
+            )
         if self.proportional is not None:
             if "wheel" not in self.kind:
                 raise InputError(f"proportional noise is for wheels, not for {self.kind!r}")
@@ -247,7 +249,9 @@ class MotionModel:
         left, right = controls[:, 0], controls[:, 1]
         turn = (p2 * (left - right)) ** 2
         zero = np.zeros_like(turn)
-        return _matrices([[(p1 * left) ** 2 + turn, zero], [zero, (p1 * right) ** 2 + turn]], len(left))
+        return _matrices(
+            [[(p1 * left) ** 2 + turn, zero], [zero, (p1 * right) ** 2 + turn]], len(left)
+        )
 
     def increments(self, controls: Any) -> Increments:
         """Increments of a run with their body covariances ``J Sigma_u J' + slip``.

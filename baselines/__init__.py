@@ -1,0 +1,1 @@
+"""GTSAM smoothers and other baselines; the only package that imports gtsam."""
