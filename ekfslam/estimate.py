@@ -113,6 +113,49 @@ class Innovations:
 
 
 @dataclass(frozen=True, eq=False)
+class Linearizations:
+    """Every linear model that a filter used: what the linear oracle rebuilds its answer from.
+
+    With x the poses and l the landmarks, the filter worked as if
+
+    - ``x_k = motion_to[k] + motion_jacobian[k] (x_{k-1} - motion_from[k]) + w``, where w has
+      covariance ``motion_noise[k]`` and for k = 0 the prior stands for x_{-1};
+    - an observation: ``innovation = jacobian ((x_k, l) - point) + v``, v of covariance ``noise``;
+    - a new landmark: ``l = point[3:] + jacobian[:, :3] (x_k - point[:3]) + v``.
+
+    Attributes
+    ----------
+    motion_from, motion_to : (K + 1, 3) ndarray
+        Pose before and after each motion.
+    motion_jacobian, motion_noise : (K + 1, 3, 3) ndarray
+        Of the motion with respect to the pose, and its noise in the world frame.
+    row, step, landmark : (n,) ndarray of int
+        Observation of the dataset, its step, and the identity of its landmark; in the order in
+        which they were used.
+    new : (n,) ndarray of bool
+        Whether it initialised the landmark.
+    point : (n, 5) ndarray
+        Linearisation point (pose, landmark).
+    jacobian : (n, 2, 5) ndarray
+    innovation : (n, 2) ndarray
+    noise : (n, 2, 2) ndarray
+    """
+
+    motion_from: Array
+    motion_to: Array
+    motion_jacobian: Array
+    motion_noise: Array
+    row: np.ndarray
+    step: np.ndarray
+    landmark: np.ndarray
+    new: np.ndarray
+    point: Array
+    jacobian: Array
+    innovation: Array
+    noise: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """What an estimator says of a dataset.
 

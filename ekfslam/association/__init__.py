@@ -1,1 +1,1 @@
-"""association."""
+"""Who saw whom: decisions from innovations and their covariances, knowing no filter."""

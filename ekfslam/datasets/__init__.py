@@ -1,1 +1,50 @@
-"""datasets."""
+"""Recorded datasets by name; one module per set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+from ekfslam.dataset import Dataset
+from ekfslam.errors import UnknownNameError
+
+
+class Recorded(NamedTuple):
+    """A recorded set: what it is, and the module that loads it."""
+
+    description: str
+    module: str
+
+
+RECORDED: Mapping[str, Recorded] = {
+    "victoria-park": Recorded(
+        "recorded: a car among the trees of a park in Sydney; 6969 poses, 151 landmarks, "
+        "association given, no truth (Guivant and Nebot 2001)",
+        "ekfslam.datasets.victoria_park",
+    ),
+}
+
+
+def load_recorded(name: str, path: str | Path | None = None) -> Dataset:
+    """Load a recorded set.
+
+    Parameters
+    ----------
+    name : str
+        A key of `RECORDED`.
+    path : path, optional
+        Its file or folder, where it does not come with a package.
+
+    Raises
+    ------
+    UnknownNameError
+        For an unknown name.
+    FileFormatError
+        For a file that is missing or malformed.
+    """
+    if name not in RECORDED:
+        raise UnknownNameError("dataset", name, RECORDED)
+    loader: Callable[..., Dataset] = import_module(RECORDED[name].module).load
+    return loader() if path is None else loader(path)

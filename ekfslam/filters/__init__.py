@@ -1,1 +1,1 @@
-"""filters."""
+"""Hand-written filters."""

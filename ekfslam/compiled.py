@@ -1,0 +1,91 @@
+"""How the hot loops are compiled: plain Python through numba, cached on disk.
+
+Every compiled function also runs uncompiled: ``function.py_func``, or all of them with the
+environment variable ``NUMBA_DISABLE_JIT=1``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+import numba
+import numpy as np
+from numba.core import types
+from numba.extending import overload
+
+F = TypeVar("F", bound=Callable)
+PACKAGE = Path(__file__).parent
+
+
+@cache
+def _cache_folder() -> str:
+    """A cache folder that belongs to this state of the sources.
+
+    numba renews a cached function when its own file changes, but not when a function that it
+    calls changes in another file; a folder per state of the sources makes a stale kernel
+    impossible. Where the package is not writable, numba's own choice stands.
+    """
+    base = PACKAGE / "__pycache__"
+    digest = hashlib.sha256()
+    for source in sorted(PACKAGE.rglob("*.py")):
+        if b"compiled" in (text := source.read_bytes()):
+            digest.update(text)
+    folder = base / f"kernels-{digest.hexdigest()[:16]}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return ""
+    if not os.access(folder, os.W_OK):
+        return ""
+    for old in base.glob("kernels-*"):
+        if old != folder:
+            shutil.rmtree(old, ignore_errors=True)
+    return str(folder)
+
+
+def compiled(function: F) -> F:
+    """Compile with numba at the first call, cached on disk.
+
+    Only multiply-add contraction is allowed beyond strict floating point, so NaN and infinity
+    keep their meaning.
+    """
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = _cache_folder() or before
+    try:
+        return numba.njit(cache=True, error_model="numpy", fastmath={"contract"})(function)
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+def now() -> float:
+    """Monotonic time [s], from Python and from compiled code.
+
+    Compiled code reads the POSIX clock; where there is none (Windows) it gives NaN, and times per
+    step stay empty.
+    """
+    return time.perf_counter()
+
+
+_MONOTONIC = 6 if sys.platform == "darwin" else 1
+_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.uintp))
+
+
+@overload(now)
+def _compiled_now() -> Callable[[], float]:
+    if sys.platform == "win32":
+        return lambda: np.nan
+
+    def posix() -> float:
+        timespec = np.empty(2, np.int64)
+        _clock_gettime(np.int32(_MONOTONIC), np.uintp(timespec.ctypes.data))
+        return timespec[0] + 1e-9 * timespec[1]
+
+    return posix

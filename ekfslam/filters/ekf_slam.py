@@ -1,0 +1,593 @@
+"""EKF-SLAM: predict, associate, correct, extend.
+
+The standard filter with Jacobians at the estimate (Smith and Cheeseman 1987; Solà, section 2;
+Ciatto, Algorithm 1; Principles of Robot Autonomy, 17.1). `run` is the algorithm; `Ekf` runs it
+over a dataset as one compiled loop, `EkfSlam` step by step with the same numbers.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ekfslam.association.gates import Gates, chi2_gate
+from ekfslam.association.nearest import AMBIGUOUS, nearest_neighbour
+from ekfslam.compiled import compiled, now
+from ekfslam.dataset import Dataset, Prior, Sightings
+from ekfslam.errors import InputError
+from ekfslam.estimate import (
+    DIVERGED,
+    OK,
+    Decision,
+    Estimate,
+    Innovations,
+    LandmarkEstimates,
+    Linearizations,
+    Trajectory,
+)
+from ekfslam.filters.gaussian_map import POINT, POSE, GaussianMap, MapArrays
+from ekfslam.filters.kernels import (
+    append,
+    correct,
+    distances,
+    expect,
+    innovate,
+    locate,
+    move,
+    project,
+    times_transposed,
+)
+from ekfslam.geometry import Array, compose, compose_jacobians, congruence, heading_block
+from ekfslam.registry import Progress
+
+ASSOCIATIONS = ("known", "nearest")
+UPDATES = ("joint", "sequential")
+ACCEPTED, NEW = int(Decision.ACCEPTED), int(Decision.NEW)
+REJECTED, UNSURE = int(Decision.REJECTED), int(Decision.AMBIGUOUS)
+
+
+class Settings(NamedTuple):
+    """Options as the compiled loop reads them; gates on the squared distance."""
+
+    nearest: bool
+    joint: bool
+    accept: float
+    new: float
+
+
+class Register(NamedTuple):
+    """Landmarks by index: identity known from outside, or order of discovery.
+
+    Attributes
+    ----------
+    offsets : (capacity,) ndarray of int
+        Where each stands in the state, -1 for not mapped.
+    count : (1,) ndarray of int
+        Indices in use.
+    """
+
+    offsets: np.ndarray
+    count: np.ndarray
+
+
+class Log(NamedTuple):
+    """What the loop writes down: per pose, and per observation.
+
+    Attributes
+    ----------
+    poses : (K + 1, 3), covariances : (K + 1, 3, 3), nis, seconds : (K + 1,), dof : (K + 1,) of int
+    decision, landmark : (M,) of int
+        The landmark by its index in the register, -1 for none.
+    innovation : (M, 2), S : (M, 2, 2), H : (M, 2, 5), point : (M, 5)
+        Linearised at `point` = (pose, landmark); for a new landmark H holds the derivative of its
+        position with respect to the pose, and the noise that it adds.
+    """
+
+    poses: Array
+    covariances: Array
+    nis: Array
+    dof: np.ndarray
+    seconds: Array
+    decision: np.ndarray
+    landmark: np.ndarray
+    innovation: Array
+    S: Array
+    H: Array
+    point: Array
+
+
+# The algorithm ----------------------------------------------------------------------------------
+
+
+@compiled
+def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, log):  # type: ignore[no-untyped-def]
+    """Steps from `start` to before `stop`; returns the step at which it had to stop, and why.
+
+    Why is 0 for done, 1 for a map that must grow first, 2 for an innovation covariance that is
+    not positive definite.
+    """
+    for k in range(start, stop):
+        begin = now()
+        first, last = offsets[k], offsets[k + 1]
+        most = POSE + POINT * register.offsets.size
+        if min(slam.size[0] + POINT * (last - first), most) > slam.mean.size:
+            return k, 1
+        predict(slam, deltas[k], Qs[k])
+        associate(slam, register, sightings, first, last, settings, log)
+        nis, dof = update(slam, register, sightings, first, last, settings, log)
+        if np.isnan(nis):
+            return k, 2
+        extend(slam, register, sightings, first, last, log)
+        log.poses[k] = slam.mean[:POSE]
+        for i in range(POSE):
+            for j in range(i, POSE):
+                log.covariances[k, i, j] = log.covariances[k, j, i] = slam.covariance[i, j]
+        log.nis[k] = nis if dof > 0 else np.nan
+        log.dof[k] = dof
+        log.seconds[k] = now() - begin
+    return stop, 0
+
+
+@compiled
+def predict(slam, delta, Q):  # type: ignore[no-untyped-def]
+    """The robot moves (Solà, 2.3.2; Ciatto, 3.3)."""
+    move(slam.mean, slam.covariance, slam.size[0], delta, Q)
+
+
+@compiled
+def associate(slam, register, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
+    """Who is seen: all observations of the step at the predicted pose (Ciatto, 3.6)."""
+    if settings.nearest and last > first:
+        count = register.count[0]
+        table = np.empty((last - first, count))
+        for i in range(first, last):
+            distances(
+                slam.mean,
+                slam.covariance,
+                register.offsets,
+                count,
+                sightings.kind[i],
+                sightings.mount[i],
+                sightings.values[i],
+                sightings.covariance[i],
+                table[i - first],
+            )
+        nearest_neighbour(table, settings.accept, settings.new, log.landmark[first:last])
+    else:
+        log.landmark[first:last] = sightings.landmark[first:last]
+    for i in range(first, last):
+        index = log.landmark[i]
+        if settings.nearest and index == AMBIGUOUS:
+            log.decision[i], log.landmark[i] = UNSURE, -1
+        elif settings.nearest and index < 0:
+            log.decision[i], log.landmark[i] = NEW, register.count[0]
+            register.count[0] += 1
+        elif index < 0:
+            log.decision[i] = REJECTED  # association is known, and this one has no identity
+        elif register.offsets[index] < 0:
+            log.decision[i] = NEW
+        else:
+            log.decision[i] = ACCEPTED
+
+
+@compiled
+def update(slam, register, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
+    """Correct with the landmarks seen again, jointly or one after another (Solà, 2.3.3).
+
+    Returns the squared Mahalanobis norm of the innovations, and how many rows they have.
+    """
+    accepted = 0
+    for i in range(first, last):
+        if log.decision[i] == ACCEPTED:
+            accepted += 1
+    if accepted == 0:
+        return 0.0, 0
+    n, P = slam.size[0], slam.covariance
+    together = accepted if settings.joint else 1
+    rows = np.empty((2 * together, n))
+    S = np.empty((2 * together, 2 * together))
+    z = np.empty(2 * together)
+    expected = np.empty(2)
+    which = np.empty(together, np.int64)
+    total, m = 0.0, 0
+    for i in range(first, last):
+        if log.decision[i] != ACCEPTED:
+            continue
+        at = register.offsets[log.landmark[i]]
+        log.point[i, :POSE] = slam.mean[:POSE]
+        log.point[i, POSE:] = slam.mean[at : at + POINT]
+        kind, H = sightings.kind[i], log.H[i]
+        expect(kind, sightings.mount[i], slam.mean[:POSE], slam.mean[at : at + POINT], expected, H)
+        innovate(kind, sightings.values[i], expected, log.innovation[i])
+        project(P, n, at, H, rows[2 * m : 2 * m + 2])
+        which[m] = i
+        for j in range(m + 1):  # S = H P H' + R, lower triangle of blocks
+            other = which[j]
+            column = register.offsets[log.landmark[other]]
+            for a in range(2):
+                for b in range(2):
+                    S[2 * m + a, 2 * j + b] = times_transposed(
+                        rows[2 * m + a], column, log.H[other], b
+                    )
+        for a in range(2):
+            z[2 * m + a] = log.innovation[i, a]
+            for b in range(2):
+                S[2 * m + a, 2 * m + b] += sightings.covariance[i, a, b]
+                log.S[i, a, b] = S[2 * m + a, 2 * m + b]
+        m += 1
+        if m == together:
+            total += correct(slam.mean, P, n, rows, S, z, 2 * m)
+            m = 0
+    return total, 2 * accepted
+
+
+@compiled
+def extend(slam, register, sightings, first, last, log):  # type: ignore[no-untyped-def]
+    """Put the landmarks seen for the first time into the map (Solà, 2.3.4; Ciatto, 3.7).
+
+    The measurement that creates a landmark is used up by that: it corrects nothing.
+    """
+    for i in range(first, last):
+        if log.decision[i] == NEW:
+            log.point[i, :POSE] = slam.mean[:POSE]
+            locate(
+                sightings.kind[i],
+                sightings.mount[i],
+                slam.mean[:POSE],
+                sightings.values[i],
+                sightings.covariance[i],
+                log.point[i, POSE:],
+                log.H[i],
+            )
+            n = slam.size[0]
+            append(slam.mean, slam.covariance, n, log.point[i, POSE:], log.H[i])
+            register.offsets[log.landmark[i]] = n
+            slam.size[0] = n + POINT
+
+
+# Over a dataset, and step by step ---------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Ekf:
+    """The EKF-SLAM estimator.
+
+    Parameters
+    ----------
+    association : {"known", "nearest"}, optional
+        Identities from the dataset, or gated nearest neighbour in innovation distance. By default
+        "known" where every observation has its identity, else "nearest".
+    update : {"joint", "sequential"}
+        All observations of a step in one correction, linearised at the predicted state (the
+        default), or one after another as the texts do, each at the state that the one before left.
+        The matches are made at the predicted pose either way.
+    accept, new : float
+        Gates of the nearest neighbour as probabilities, see `ekfslam.association.gates.Gates`.
+    """
+
+    association: str | None = None
+    update: str = "joint"
+    accept: float = Gates.accept
+    new: float = Gates.new
+    name = "ekf"
+
+    def __post_init__(self) -> None:
+        _settings(self.association or "known", self.update, self.accept, self.new)
+
+    def estimate(self, dataset: Dataset, progress: Progress | None = None) -> Estimate:
+        """Run the filter over a dataset.
+
+        Parameters
+        ----------
+        dataset : Dataset
+        progress : callable, optional
+            Called with (steps done, steps in all).
+
+        Returns
+        -------
+        Estimate
+            With the online trajectory, landmarks, joint covariance, innovations and times.
+
+        Raises
+        ------
+        UnsupportedError
+            For a dataset with several robots.
+        """
+        return self._run(dataset, progress)[0]
+
+    def linearizations(self, dataset: Dataset) -> tuple[Estimate, Linearizations]:
+        """Estimate a dataset and tell every linearisation that was used.
+
+        This is what the linear oracle of `ekfslam check` needs of a filter.
+        """
+        estimate, log = self._run(dataset, None)
+        assert estimate.landmarks is not None
+        assert estimate.innovations is not None
+        moves = dataset.moves
+        before = np.concatenate([dataset.prior.mean[None], log.poses[:-1]])
+        used = np.flatnonzero(np.isin(log.decision, [ACCEPTED, NEW]))
+        new = log.decision[used] == NEW
+        noise = np.where(
+            new[:, None, None], log.H[used][:, :, 3:], dataset.sightings.covariance[used]
+        )
+        return estimate, Linearizations(
+            motion_from=before,
+            motion_to=compose(before, moves.deltas),
+            motion_jacobian=compose_jacobians(before, moves.deltas)[0],
+            motion_noise=congruence(heading_block(before[:, 2]), moves.covariances),
+            row=used,
+            step=dataset.observations.step[used],
+            landmark=estimate.innovations.landmark[used],
+            new=new,
+            point=log.point[used],
+            jacobian=log.H[used],
+            innovation=np.where(new[:, None], 0.0, log.innovation[used]),
+            noise=noise,
+        )
+
+    def _run(self, dataset: Dataset, progress: Progress | None) -> tuple[Estimate, Log]:
+        association = self.association or ("known" if dataset.association_known else "nearest")
+        settings = _settings(association, self.update, self.accept, self.new)
+        steps = dataset.poses
+        _warm_up(settings)
+        started = time.perf_counter()
+        moves, sightings = dataset.moves, _writable(dataset.sightings)
+        ids, codes = np.unique(sightings.landmark, return_inverse=True)
+        codes = codes - np.searchsorted(ids, 0)  # no identity becomes -1
+        ids = ids[ids >= 0]
+        sightings = sightings._replace(landmark=codes.astype(np.int64))
+        slam = GaussianMap(dataset.prior, 32 if settings.nearest else len(ids))
+        register = _register(len(slam.arrays.mean) if settings.nearest else len(ids))
+        log = _log(steps, len(codes))
+        k, why = 0, 0
+        chunk = steps if progress is None else max(1, steps // 100)
+        while k < steps and why != 2:
+            k, why = run(
+                k,
+                min(k + chunk, steps),
+                moves.deltas,
+                moves.covariances,
+                dataset.offsets,
+                sightings,
+                slam.arrays,
+                register,
+                settings,
+                log,
+            )
+            if why == 1:
+                slam.reserve(slam.size + POINT * int(np.diff(dataset.offsets).max()))
+                register = _grown(register, len(slam.arrays.mean))
+            elif progress is not None:
+                progress(k, steps)
+        if settings.nearest:
+            ids = np.arange(register.count[0])
+        mapped = np.flatnonzero(register.offsets[: len(ids)] >= 0)
+        landmarks, joint = _final_map(slam, ids[mapped], register.offsets[mapped])
+        elapsed = time.perf_counter() - started
+        named = np.append(ids, -1)[log.landmark]
+        return Estimate(
+            estimator=self.name,
+            dataset=dataset.name,
+            association=association,
+            online=Trajectory(log.poses, log.covariances),
+            landmarks=landmarks,
+            joint_covariance=joint,
+            innovations=Innovations(log.decision, named, log.innovation, log.S),
+            step_nis=log.nis,
+            step_dof=log.dof,
+            step_seconds=log.seconds,
+            time_total=elapsed,
+            time_marginals=0.0,
+            status=DIVERGED if why == 2 else OK,
+            message=f"innovation covariance not positive definite at step {k}" if why == 2 else "",
+            options=asdict(self),
+        ), log
+
+
+class EkfSlam:
+    """The same filter, step by step, for online use.
+
+    Parameters
+    ----------
+    prior : Prior
+        Of the first pose; the default is exactly the origin.
+    association : {"known", "nearest"}
+    update : {"joint", "sequential"}
+    accept, new : float
+        As for `Ekf`.
+
+    Examples
+    --------
+    >>> import ekfslam
+    >>> data = ekfslam.simulate("loop-15", seed=1)
+    >>> slam = ekfslam.EkfSlam(prior=data.prior)
+    >>> for step in data.steps():
+    ...     slam.predict(step.increment, step.covariance)
+    ...     _ = slam.observe(step.observations)
+    """
+
+    def __init__(
+        self,
+        prior: Prior | None = None,
+        association: str = "known",
+        update: str = "joint",
+        accept: float = Gates.accept,
+        new: float = Gates.new,
+    ) -> None:
+        self._settings = _settings(association, update, accept, new)
+        self._slam = GaussianMap(prior or Prior())
+        self._register = _register(len(self._slam.arrays.mean))
+        self._ids: dict[int, int] = {}
+
+    def predict(self, increment: Any, covariance: Any) -> None:
+        """Move the robot.
+
+        Parameters
+        ----------
+        increment : (3,) array_like
+            Body increment in the frame of the pose before [m, m, rad].
+        covariance : (3, 3) array_like
+            Of the increment, in that frame.
+        """
+        predict(
+            self._slam.arrays,
+            np.array(increment, dtype=float),
+            np.array(covariance, dtype=float),
+        )
+
+    def observe(self, observations: Sightings) -> Innovations:
+        """Associate, correct and extend with the observations of one step.
+
+        Parameters
+        ----------
+        observations : Sightings
+            For instance ``Sightings.of(sensor, values, landmark)``.
+
+        Returns
+        -------
+        Innovations
+            What each observation met.
+
+        Raises
+        ------
+        InputError
+            If the innovation covariance is not positive definite.
+        """
+        count = len(observations.values)
+        self._slam.reserve(self._slam.size + POINT * count)
+        self._register = _grown(
+            self._register, max(len(self._slam.arrays.mean), len(self._ids) + count)
+        )
+        codes = [
+            self._ids.setdefault(int(i), len(self._ids)) if i >= 0 else -1
+            for i in observations.landmark
+        ]
+        seen = _writable(observations)._replace(landmark=np.array(codes, dtype=np.int64))
+        log = _log(1, count)
+        arguments = self._slam.arrays, self._register, seen, 0, count, self._settings, log
+        associate(*arguments)
+        nis, _ = update(*arguments)
+        if np.isnan(nis):
+            raise InputError("the innovation covariance is not positive definite; check the noise")
+        extend(self._slam.arrays, self._register, seen, 0, count, log)
+        return Innovations(log.decision, self._names()[log.landmark], log.innovation, log.S)
+
+    @property
+    def pose(self) -> Array:
+        """Estimated pose, (3,)."""
+        return self._slam.mean[:POSE].copy()
+
+    @property
+    def pose_covariance(self) -> Array:
+        """Its covariance, (3, 3), additive."""
+        return self._slam.block(0, POSE)
+
+    @property
+    def landmarks(self) -> LandmarkEstimates:
+        """The map so far, with its joint covariance."""
+        ids = self._names()[:-1]
+        mapped = np.flatnonzero(self._register.offsets[: len(ids)] >= 0)
+        return _final_map(self._slam, ids[mapped], self._register.offsets[mapped])[0]
+
+    def _names(self) -> np.ndarray:
+        """Identity of each index of the register; the last entry is that of no landmark."""
+        if self._settings.nearest:
+            return np.append(np.arange(self._register.count[0]), -1)
+        return np.array([*self._ids, -1], dtype=np.int64)
+
+
+# Plumbing ---------------------------------------------------------------------------------------
+
+
+def _settings(association: str, update: str, accept: float, new: float) -> Settings:
+    for name, value, known in (
+        ("association", association, ASSOCIATIONS),
+        ("update", update, UPDATES),
+    ):
+        if value not in known:
+            raise InputError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+    Gates(accept, new)
+    return Settings(
+        association == "nearest", update == "joint", chi2_gate(accept, 2), chi2_gate(new, 2)
+    )
+
+
+def _register(size: int) -> Register:
+    return Register(np.full(size, -1, dtype=np.int64), np.zeros(1, dtype=np.int64))
+
+
+def _grown(register: Register, size: int) -> Register:
+    missing = size - len(register.offsets)
+    if missing <= 0:
+        return register
+    return register._replace(offsets=np.append(register.offsets, np.full(missing, -1)))
+
+
+def _log(steps: int, rows: int) -> Log:
+    return Log(
+        poses=np.full((steps, 3), np.nan),
+        covariances=np.full((steps, 3, 3), np.nan),
+        nis=np.full(steps, np.nan),
+        dof=np.zeros(steps, dtype=np.int64),
+        seconds=np.full(steps, np.nan),
+        decision=np.full(rows, REJECTED, dtype=np.int64),
+        landmark=np.full(rows, -1, dtype=np.int64),
+        innovation=np.full((rows, 2), np.nan),
+        S=np.full((rows, 2, 2), np.nan),
+        H=np.full((rows, 2, 5), np.nan),
+        point=np.full((rows, 5), np.nan),
+    )
+
+
+def _writable(sightings: Sightings) -> Sightings:
+    """Contiguous private copies: one type for the compiler, whatever the caller holds."""
+    kind, mount, values, covariance, landmark = sightings
+    return Sightings(
+        np.array(kind, dtype=np.int64),
+        np.array(mount, dtype=float),
+        np.array(values, dtype=float),
+        np.array(covariance, dtype=float),
+        np.array(landmark, dtype=np.int64),
+    )
+
+
+def _final_map(
+    slam: GaussianMap, ids: np.ndarray, offsets: np.ndarray
+) -> tuple[LandmarkEstimates, Array]:
+    """The landmarks with covariances, and the joint covariance of pose and landmarks."""
+    points = (offsets[:, None] + np.arange(POINT)).reshape(-1)
+    order = np.concatenate([np.arange(POSE), points])
+    joint = slam.covariance[np.ix_(order, order)]
+    blocks = joint[POSE:, POSE:].reshape(len(ids), POINT, len(ids), POINT)
+    return LandmarkEstimates(
+        ids,
+        slam.mean[points].reshape(-1, POINT),
+        np.ascontiguousarray(np.einsum("iaib->iab", blocks)),
+        joint[POSE:, POSE:],
+    ), joint
+
+
+_warm: set[str] = set()
+
+
+def _warm_up(settings: Settings) -> None:
+    """Compile, or load from disk, before the clock of the first estimate starts."""
+    if "run" in _warm:
+        return
+    _warm.add("run")
+    slam = GaussianMap(Prior(), 1)
+    nothing = Sightings(
+        np.zeros(0, np.int64),
+        np.zeros((0, 3)),
+        np.zeros((0, 2)),
+        np.zeros((0, 2, 2)),
+        np.zeros(0, np.int64),
+    )
+    arrays: MapArrays = slam.arrays
+    run(
+        0, 1, np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros(2, np.int64),
+        nothing, arrays, _register(1), settings, _log(1, 0),
+    )  # fmt: skip
