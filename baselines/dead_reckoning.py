@@ -1,0 +1,55 @@
+"""Dead reckoning: the odometry alone, with its growing uncertainty."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from ekfslam import geometry as geo
+from ekfslam.dataset import Dataset
+from ekfslam.estimate import Estimate, LandmarkEstimates, Trajectory
+from ekfslam.registry import Progress
+
+
+@dataclass(frozen=True)
+class DeadReckoning:
+    """Chain the increments; observations are not looked at."""
+
+    name = "dead-reckoning"
+
+    def estimate(self, dataset: Dataset, progress: Progress | None = None) -> Estimate:
+        """Integrate the odometry of a dataset.
+
+        Parameters
+        ----------
+        dataset : Dataset
+        progress : callable, optional
+            Not used: this takes no time.
+
+        Returns
+        -------
+        Estimate
+            With the online trajectory and its covariances, and an empty map.
+        """
+        started = time.perf_counter()
+        deltas, covariances = dataset.robot.increments
+        poses = geo.integrate(dataset.prior.mean, deltas)
+        # In right-invariant coordinates an error stays what it was when the robot moves on, so
+        # the covariance is a running sum.
+        world = geo.congruence(geo.heading_block(poses[:-1, 2]), covariances)
+        added = geo.additive_to_invariant(poses[1:], world)
+        prior = geo.additive_to_invariant(poses[0], dataset.prior.covariance)
+        total = np.cumsum(np.concatenate([prior[None], added]), axis=0)
+        return Estimate(
+            estimator=self.name,
+            dataset=dataset.name,
+            association="",
+            online=Trajectory(poses, geo.invariant_to_additive(poses, total)),
+            landmarks=LandmarkEstimates(
+                np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))
+            ),
+            time_total=time.perf_counter() - started,
+            time_marginals=0.0,
+        )
