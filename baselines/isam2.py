@@ -116,8 +116,9 @@ class GtsamIsam2:
             graph = gtsam.NonlinearFactorGraph()
             for factor in problem.step(k):
                 graph.add(factor)
+            online[k] = pose.x(), pose.y(), pose.theta()  # predicted: where the step starts
             fresh = [(i, pose.transformFrom(point)) for i, point in newcomers.get(k, ())]
-            isam.update(graph, problem.values_of_step(k, (pose.x(), pose.y(), pose.theta()), fresh))
+            isam.update(graph, problem.values_of_step(k, online[k], fresh))
             pose = isam.calculateEstimatePose2(pose_key(k))
             online[k] = pose.x(), pose.y(), pose.theta()
             seconds[k] = time.perf_counter() - begin

@@ -65,12 +65,12 @@ class Register(NamedTuple):
     ----------
     offsets : (capacity,) ndarray of int
         Where each stands in the state, -1 for not mapped.
-    count : (1,) ndarray of int
+    used : (1,) ndarray of int
         Indices in use.
     """
 
     offsets: np.ndarray
-    count: np.ndarray
+    used: np.ndarray
 
 
 class Log(NamedTuple):
@@ -141,7 +141,7 @@ def predict(slam, delta, Q):  # type: ignore[no-untyped-def]
 def associate(slam, register, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
     """Who is seen: all observations of the step at the predicted pose (Ciatto, 3.6)."""
     if settings.nearest and last > first:
-        count = register.count[0]
+        count = register.used[0]
         table = np.empty((last - first, count))
         for i in range(first, last):
             distances(
@@ -163,8 +163,8 @@ def associate(slam, register, sightings, first, last, settings, log):  # type: i
         if settings.nearest and index == AMBIGUOUS:
             log.decision[i], log.landmark[i] = UNSURE, -1
         elif settings.nearest and index < 0:
-            log.decision[i], log.landmark[i] = NEW, register.count[0]
-            register.count[0] += 1
+            log.decision[i], log.landmark[i] = NEW, register.used[0]
+            register.used[0] += 1
         elif index < 0:
             log.decision[i] = REJECTED  # association is known, and this one has no identity
         elif register.offsets[index] < 0:
@@ -363,7 +363,7 @@ class Ekf:
             elif progress is not None:
                 progress(k, steps)
         if settings.nearest:
-            ids = np.arange(register.count[0])
+            ids = np.arange(register.used[0])
         mapped = np.flatnonzero(register.offsets[: len(ids)] >= 0)
         landmarks, joint = _final_map(slam, ids[mapped], register.offsets[mapped])
         elapsed = time.perf_counter() - started
@@ -495,7 +495,7 @@ class EkfSlam:
     def _names(self) -> np.ndarray:
         """Identity of each index of the register; the last entry is that of no landmark."""
         if self._settings.nearest:
-            return np.append(np.arange(self._register.count[0]), -1)
+            return np.append(np.arange(self._register.used[0]), -1)
         return np.array([*self._ids, -1], dtype=np.int64)
 
 
