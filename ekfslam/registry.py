@@ -15,10 +15,11 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol, runtime_checkable
 
 from ekfslam.dataset import Dataset
-from ekfslam.errors import InputError, UnknownNameError
+from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
 from ekfslam.estimate import Estimate
 
 GROUP = "ekfslam.estimators"
+ORACLES = "ekfslam.oracles"
 
 Progress = Callable[[int, int], None]
 """Called with (steps done, steps in all) on long work."""
@@ -91,3 +92,16 @@ def _load(name: str) -> Any:
     except Exception as error:
         raise InputError(f"cannot load estimator {name!r}: {error}") from None
     return target
+
+
+def linear_oracle() -> Callable[..., Any]:
+    """The solver of a filter's own linear models, ``solve(prior, linearizations)``.
+
+    Raises
+    ------
+    UnsupportedError
+        If no package offers one.
+    """
+    for point in entry_points(group=ORACLES, name="linear"):
+        return point.load()
+    raise UnsupportedError("no package offers a linear oracle; reinstall ekfslam")
