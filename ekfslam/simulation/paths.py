@@ -1,0 +1,111 @@
+"""Paths: where the robot is told to go.
+
+A path is a function of its parameters that returns the start pose and the commanded controls; its
+name and parameters are the ``[path]`` table of a scenario.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ekfslam import geometry as geo
+from ekfslam.errors import InputError
+from ekfslam.geometry import TAU, Array
+
+CHORDS_PER_LAP = 200_000  # arc length of a lap of park is then right to some 1e-9 m
+
+
+class Path(NamedTuple):
+    """A commanded run.
+
+    Attributes
+    ----------
+    start : (3,) ndarray
+        True first pose [m, m, rad].
+    controls : (K, m) ndarray
+        Commands, in the columns of the motion model.
+    motion : str or None
+        The one kind of motion model that the controls are for; None if they are as given.
+    """
+
+    start: Array
+    controls: Array
+    motion: str | None = None
+
+
+def repeated(start: Array, controls: Array, repeat: int = 1) -> Path:
+    """A list of controls, over and over.
+
+    Parameters
+    ----------
+    start : (3,) array_like
+    controls : (n, m) array_like
+        In the columns of the motion model.
+    repeat : int
+        How many times the whole list is commanded.
+
+    Raises
+    ------
+    InputError
+        If `controls` is no table or `repeat` is below 1.
+    """
+    controls = np.asarray(controls, dtype=float)
+    if controls.ndim != 2:
+        raise InputError("controls must be a list of controls, each a list of numbers")
+    if repeat < 1:
+        raise InputError(f"repeat must be at least 1, got {repeat}")
+    return Path(np.asarray(start, dtype=float), np.tile(controls, (repeat, 1)))
+
+
+def figure_eight(centre: Array, amplitude: Array, spacing: float, laps: float = 1.0) -> Path:
+    """The curve ``x = cx + ax cos t, y = cy + ay sin 2t``, in steps of equal arc length.
+
+    Headings are tangent to the curve. The run starts at t = 0 and has
+    ``floor(laps * length / spacing)`` poses, so the last one does not come back onto the first.
+
+    Parameters
+    ----------
+    centre, amplitude : (2,) array_like
+        (cx, cy) and (ax, ay) [m].
+    spacing : float
+        Arc length of a step [m].
+    laps : float
+
+    Returns
+    -------
+    Path
+        Controls are the increments between successive poses, for the motion model ``odometry``.
+
+    Raises
+    ------
+    InputError
+        For amplitudes, spacing or laps that are not positive, or laps shorter than a step.
+    """
+    centre, amplitude = np.asarray(centre, dtype=float), np.asarray(amplitude, dtype=float)
+    if centre.shape != (2,) or amplitude.shape != (2,) or not np.isfinite(centre).all():
+        raise InputError("centre and amplitude must be two finite numbers each")
+    positive = np.array([*amplitude, spacing, laps])
+    if not (np.isfinite(positive).all() and (positive > 0).all()):
+        raise InputError("amplitude, spacing and laps must be positive")
+
+    def position(t: Array) -> Array:
+        return centre + amplitude * np.column_stack([np.cos(t), np.sin(2 * t)])
+
+    t = np.linspace(0.0, TAU, CHORDS_PER_LAP + 1)
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(position(t), axis=0).T))])
+    travelled = spacing * np.arange(int(laps * length[-1] / spacing))
+    if len(travelled) < 2:
+        raise InputError(f"a step of {spacing:g} m does not fit into {laps * length[-1]:.3g} m")
+    t = np.interp(travelled % length[-1], length, t)
+    tangent = amplitude * np.column_stack([-np.sin(t), 2 * np.cos(2 * t)])
+    poses = np.column_stack([position(t), np.arctan2(tangent[:, 1], tangent[:, 0])])
+    return Path(poses[0], geo.between(poses[:-1], poses[1:]), "odometry")
+
+
+PATHS: Mapping[str, Callable[..., Path]] = {
+    "controls": repeated,
+    "figure-eight": figure_eight,
+}
