@@ -1,0 +1,140 @@
+"""Absolute and relative errors of trajectories in SE(2), and their alignment with the truth."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ekfslam import geometry as geo
+from ekfslam.errors import InputError, UnknownNameError
+from ekfslam.geometry import Array
+
+ALIGNMENTS = ("none", "se2")
+
+
+class PoseErrors(NamedTuple):
+    """Sizes of pose errors.
+
+    Attributes
+    ----------
+    position : (N,) ndarray
+        Norm of the position error [m].
+    heading : (N,) ndarray
+        Size of the wrapped heading error [rad], in [0, pi].
+    """
+
+    position: Array
+    heading: Array
+
+
+def alignment_motion(poses: ArrayLike, truth: ArrayLike, alignment: str = "none") -> Array:
+    """Rigid motion that brings an estimate into the frame of the truth.
+
+    Parameters
+    ----------
+    poses, truth : (N, 3) array_like
+        Estimated and true poses; poses that are not finite take no part.
+    alignment : {"none", "se2"}
+        "none" is the identity, right where the start is known. "se2" is the motion that minimises
+        the sum of squared distances between positions; headings follow it.
+
+    Returns
+    -------
+    (3,) ndarray
+        A pose g: apply it with ``geometry.compose(g, poses)``, and to landmarks with
+        ``geometry.from_frame(g, positions)``.
+
+    Raises
+    ------
+    UnknownNameError
+        For another alignment.
+    """
+    if alignment not in ALIGNMENTS:
+        raise UnknownNameError("alignment", alignment, ALIGNMENTS)
+    poses, truth = _pair(poses, truth)
+    finite = np.isfinite(poses).all(axis=1)
+    if alignment == "none" or not finite.any():
+        return np.zeros(3)
+    return geo.align(poses[finite, :2], truth[finite, :2])
+
+
+def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> PoseErrors:
+    """Absolute trajectory error (ATE) of every pose.
+
+    Parameters
+    ----------
+    poses, truth : (N, 3) array_like
+        Estimated (and aligned, where wanted) and true poses.
+
+    Returns
+    -------
+    PoseErrors
+        One per pose.
+    """
+    poses, truth = _pair(poses, truth)
+    return _sizes(geo.additive_error(truth, poses))
+
+
+def path_length(poses: ArrayLike) -> Array:
+    """Length travelled until each pose [m], (N,): the sum of the straight steps before it."""
+    poses = np.asarray(poses, dtype=float)
+    steps = np.diff(poses[:, :2], axis=0)
+    return np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
+
+
+def relative_errors(
+    poses: ArrayLike, truth: ArrayLike, distance: float | None = None
+) -> PoseErrors:
+    """Relative pose error (RPE) over one step or over a distance.
+
+    The error of a pair (i, j) is ``(T_i^-1 T_j)^-1 (E_i^-1 E_j)`` with the true poses T and the
+    estimated poses E (Sturm et al. 2012, "A benchmark for the evaluation of RGB-D SLAM systems",
+    Eq. 1). No rigid motion of either trajectory changes it.
+
+    Parameters
+    ----------
+    poses, truth : (N, 3) array_like
+    distance : float, optional
+        Length [m]: each pose i is paired with the first pose j to which the true path from i is at
+        least that long, less one part in 1e9 so that a whole number of equal steps reaches it.
+        Poses without such a j are left out. By default every pose is paired with the next one.
+
+    Returns
+    -------
+    PoseErrors
+        One per pair, in the order of i; none if the whole path is shorter than the distance.
+
+    Raises
+    ------
+    InputError
+        If the distance is not positive.
+    """
+    poses, truth = _pair(poses, truth)
+    i, j = _pairs(truth, distance)
+    true_motion = geo.between(truth[i], truth[j])
+    return _sizes(geo.between(true_motion, geo.between(poses[i], poses[j])))
+
+
+def _pairs(truth: Array, distance: float | None) -> tuple[np.ndarray, np.ndarray]:
+    start = np.arange(len(truth))
+    if distance is None:
+        return start[:-1], start[1:]
+    if not 0.0 < distance < np.inf:
+        raise InputError(f"the distance of relative errors must be positive, got {distance}")
+    travelled = path_length(truth)
+    end = np.searchsorted(travelled, travelled + distance * (1.0 - 1e-9))
+    reached = end < len(truth)
+    return start[reached], end[reached]
+
+
+def _pair(poses: ArrayLike, truth: ArrayLike) -> tuple[Array, Array]:
+    poses, truth = np.asarray(poses, dtype=float), np.asarray(truth, dtype=float)
+    if poses.shape != truth.shape or poses.ndim != 2 or poses.shape[1] != 3:
+        raise InputError(f"poses {poses.shape} and truth {truth.shape} must both be (N, 3)")
+    return poses, truth
+
+
+def _sizes(errors: Array) -> PoseErrors:
+    return PoseErrors(np.hypot(errors[:, 0], errors[:, 1]), np.abs(errors[:, 2]))
