@@ -1,1 +1,94 @@
-"""Workbench that compares hand-written EKF-SLAM with GTSAM smoothers of the same landmark graph."""
+"""Workbench that compares hand-written EKF-SLAM with GTSAM smoothers of the same landmark graph.
+
+Names are imported when they are first used, so that ``import ekfslam`` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ekfslam.dataset import Dataset
+    from ekfslam.estimate import Estimate
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Comparison": "ekfslam.experiments",
+    "Dataset": "ekfslam.dataset",
+    "Ekf": "ekfslam.filters.ekf_slam",
+    "EkfSlam": "ekfslam.filters.ekf_slam",
+    "EkfslamError": "ekfslam.errors",
+    "Estimate": "ekfslam.estimate",
+    "FileFormatError": "ekfslam.errors",
+    "InputError": "ekfslam.errors",
+    "LandmarkMap": "ekfslam.dataset",
+    "MotionModel": "ekfslam.models.motion",
+    "Observations": "ekfslam.dataset",
+    "Prior": "ekfslam.dataset",
+    "Robot": "ekfslam.dataset",
+    "Scenario": "ekfslam.simulation",
+    "Sensor": "ekfslam.models.sensors",
+    "Sightings": "ekfslam.dataset",
+    "UnknownNameError": "ekfslam.errors",
+    "UnsupportedError": "ekfslam.errors",
+    "check": "ekfslam.validation",
+    "compare": "ekfslam.experiments",
+    "load_scenario": "ekfslam.simulation",
+    "simulate": "ekfslam.simulation",
+}
+
+__all__ = [*_HOMES, "estimate", "load"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'ekfslam' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])
+
+
+def load(source: str | Path, path: str | Path | None = None) -> Dataset:
+    """Load a recorded set by name, or a dataset file (``.npz``).
+
+    Parameters
+    ----------
+    source : str or path
+    path : path, optional
+        Where the files of a recorded set lie, if they do not come with a package.
+
+    Raises
+    ------
+    UnknownNameError, FileFormatError
+        For what cannot be found or read.
+    """
+    from ekfslam.experiments.sources import open_dataset
+
+    return open_dataset(source, path=path)
+
+
+def estimate(dataset: Dataset, estimator: str | Any = "ekf", **options: Any) -> Estimate:
+    """Run one estimator on a dataset.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    estimator : str or object
+        A registered name, ``module:Class``, or an object with ``estimate(dataset)``.
+    **options
+        For the class that the name stands for, such as ``update="sequential"``.
+
+    Raises
+    ------
+    UnknownNameError, InputError
+        For an unknown estimator or option.
+    """
+    from ekfslam.registry import resolve
+
+    return resolve(estimator, **options).estimate(dataset)

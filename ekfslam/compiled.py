@@ -58,7 +58,7 @@ def compiled(function: F) -> F:
     keep their meaning.
     """
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _cache_folder() or before
+    numba.config.CACHE_DIR = before or _cache_folder()  # NUMBA_CACHE_DIR, if set, wins
     try:
         return numba.njit(cache=True, error_model="numpy", fastmath={"contract"})(function)
     finally:

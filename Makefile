@@ -1,0 +1,39 @@
+# Each target makes what it needs in this folder and can be run again.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test bench reference clean
+
+demo: $(VENV)/.installed
+	@echo "== four estimators on a simulated park and on the recorded Victoria Park =="
+	$(BIN)/ekfslam compare park victoria-park --seed 1 --out results/compare
+	@echo "== the ladder: is the filter right to round-off? =="
+	$(BIN)/ekfslam check ekf
+	@echo "== done: tables and figures are in results/compare =="
+
+test: $(VENV)/.installed
+	@echo "== lint, format, types, tests =="
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+bench: $(VENV)/.installed
+	@echo "== benchmarks: ratios measured side by side in one run =="
+	$(BIN)/python benchmarks/run.py
+
+# Rewrites the stored tables that the accuracy tests compare with.
+reference: $(VENV)/.installed
+	$(BIN)/python tests/reference.py
+
+$(VENV)/.installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "ekfslam needs Python 3.11 or newer; try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	@echo "== setting up $(VENV) =="
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache

@@ -1,0 +1,301 @@
+"""One experiment: some datasets, many estimators, four tables, figures."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from ekfslam.dataset import Dataset
+from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
+from ekfslam.estimate import FAILED, SKIPPED, Estimate
+from ekfslam.evaluation import judged, tables
+from ekfslam.experiments.sources import open_dataset
+from ekfslam.registry import Estimator, estimator_name, resolve
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DATASETS = ("park", "victoria-park")
+ESTIMATORS = ("ekf", "gtsam-batch", "gtsam-isam2", "dead-reckoning")
+REFERENCE = "gtsam-batch"
+PACKAGES = ("ekfslam", "gtsam", "numpy", "scipy", "pandas", "numba", "matplotlib")
+FIGURES = ("map", "errors", "consistency", "times")
+
+Watch = Callable[[str, str, int, int], None]
+"""Called with (dataset, estimator, steps done, steps in all) on long work."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Estimators side by side on the same datasets.
+
+    Attributes
+    ----------
+    summary, trajectories, landmarks, innovations : DataFrame
+        The tidy tables; columns in ``docs/tables.md``.
+    datasets : dict
+        The `Dataset` of each name.
+    estimates : dict
+        The `Estimate` of each (dataset, estimator).
+    config : dict
+        What was run, with versions and seed.
+    """
+
+    summary: pd.DataFrame
+    trajectories: pd.DataFrame
+    landmarks: pd.DataFrame
+    innovations: pd.DataFrame
+    datasets: Mapping[str, Dataset]
+    estimates: Mapping[tuple[str, str], Estimate]
+    config: Mapping[str, Any]
+
+    def plot_map(self, dataset: str | None = None) -> Figure:
+        """Map with trajectories, landmarks and 3-sigma ellipses.
+
+        Parameters
+        ----------
+        dataset : str, optional
+            Name; the first one by default.
+        """
+        from ekfslam.plots import plot_map
+
+        name = self._name(dataset)
+        return plot_map(self._of(self.trajectories, name), self._of(self.landmarks, name))
+
+    def plot_errors(self, dataset: str | None = None) -> Figure:
+        """Error against time with the estimator's own 3-sigma band."""
+        from ekfslam.plots import plot_errors
+
+        return plot_errors(self._of(self.trajectories, self._name(dataset)))
+
+    def plot_consistency(self, dataset: str | None = None) -> Figure:
+        """NEES and NIS against their chi-square intervals."""
+        from ekfslam.plots import plot_consistency
+
+        return plot_consistency(self._of(self.trajectories, self._name(dataset)))
+
+    def plot_times(self, dataset: str | None = None) -> Figure:
+        """Time per step."""
+        from ekfslam.plots import plot_times
+
+        return plot_times(self._of(self.trajectories, self._name(dataset)))
+
+    def save(self, folder: str | Path, figures: bool = True) -> list[Path]:
+        """Write tables (CSV), configuration (JSON) and figures (PNG and PDF).
+
+        The folder is made if needed. Files appear when all of them have been written; if anything
+        goes wrong, none does.
+
+        Parameters
+        ----------
+        folder : path
+        figures : bool
+
+        Returns
+        -------
+        list of Path
+            The files, in order.
+
+        Raises
+        ------
+        InputError
+            If the folder cannot be written to.
+        """
+        folder = Path(folder)
+        scratch = None
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            scratch = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
+            self._write(scratch, figures)
+            written = sorted(scratch.iterdir())
+            for path in written:
+                os.replace(path, folder / path.name)
+        except OSError as error:
+            raise InputError(f"cannot write to {folder}: {error.strerror or error}") from None
+        finally:
+            if scratch is not None:
+                shutil.rmtree(scratch, ignore_errors=True)
+        return [folder / path.name for path in written]
+
+    def _write(self, folder: Path, figures: bool) -> None:
+        for name in tables.SCHEMAS:
+            getattr(self, name).to_csv(folder / f"{name}.csv", index=False)
+        (folder / "config.json").write_text(json.dumps(self.config, indent=2) + "\n")
+        if figures:
+            from ekfslam.plots import save
+
+            for dataset in self.datasets:
+                for figure in FIGURES:
+                    save(getattr(self, f"plot_{figure}")(dataset), folder, f"{dataset}-{figure}")
+
+    def _name(self, dataset: str | None) -> str:
+        if dataset is None:
+            return next(iter(self.datasets))
+        if dataset not in self.datasets:
+            raise UnknownNameError("dataset of this comparison", dataset, self.datasets)
+        return dataset
+
+    @staticmethod
+    def _of(table: pd.DataFrame, dataset: str) -> pd.DataFrame:
+        return table[table["dataset"] == dataset]
+
+    def _repr_html_(self) -> str:
+        return self.summary.to_html(index=False, na_rep="")
+
+
+def compare(
+    datasets: str | Dataset | Sequence[str | Dataset] = DATASETS,
+    estimators: str | Any | Sequence[str | Any] = ESTIMATORS,
+    seed: int = 0,
+    alignment: str = "none",
+    rpe_distance: float = 10.0,
+    path: str | Path | None = None,
+    watch: Watch | None = None,
+) -> Comparison:
+    """Run estimators on datasets and tabulate them side by side.
+
+    An estimator that raises, or does not apply, is a row with its status; the others finish.
+
+    Parameters
+    ----------
+    datasets : str, Dataset or a sequence of them
+        Scenarios, recorded sets, files; see `ekfslam.experiments.sources.open_dataset`.
+    estimators : str, object or a sequence of them
+        Registered names, ``module:Class``, or objects with ``estimate(dataset)``.
+    seed : int
+        Of the simulated datasets.
+    alignment : {"none", "se2"}
+        Rigid motion applied before errors are taken; none is right where the start is known.
+    rpe_distance : float
+        Length of the relative errors [m].
+    path : path, optional
+        Files of a recorded set.
+    watch : callable, optional
+        Told of progress.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    UnknownNameError, InputError, FileFormatError
+        For anything that cannot be found or read, before anything runs.
+    """
+    if alignment not in ("none", "se2"):
+        raise UnknownNameError("alignment", alignment, ["none", "se2"])
+    if not (np.isfinite(rpe_distance) and rpe_distance > 0):
+        raise InputError(f"rpe_distance must be a positive length [m], got {rpe_distance}")
+    subjects = _named(_listed(estimators))
+    sources = [open_dataset(source, seed, path) for source in _listed(datasets)]
+    opened = {dataset.name: dataset for dataset in sources}
+    if len(opened) != len(sources):
+        raise InputError("two datasets have the same name; the tables could not tell them apart")
+    parts: dict[str, list[pd.DataFrame]] = {name: [] for name in tables.SCHEMAS}
+    estimates: dict[tuple[str, str], Estimate] = {}
+    for dataset in opened.values():
+        found = {name: _run(name, subject, dataset, watch) for name, subject in subjects.items()}
+        reference = found.get(REFERENCE)
+        for name, estimate in found.items():
+            estimates[dataset.name, name] = estimate
+            parts["summary"].append(
+                tables.summary_rows(dataset, estimate, alignment, rpe_distance, reference)
+            )
+            parts["trajectories"].append(tables.trajectories(dataset, estimate, alignment))
+            parts["landmarks"].append(tables.landmarks(dataset, estimate, alignment))
+            parts["innovations"].append(tables.innovations(dataset, estimate))
+    config = {
+        "datasets": {d.name: {"provenance": d.provenance, "seed": d.seed} for d in opened.values()},
+        "estimators": {name: _options(estimates, name) for name in subjects},
+        "seed": seed,
+        "alignment": alignment,
+        "rpe_distance_m": rpe_distance,
+        "versions": _versions(),
+    }
+    stacked = {name: tables.concat(name, rows) for name, rows in parts.items()}
+    return Comparison(**stacked, datasets=opened, estimates=estimates, config=config)
+
+
+def _listed(value: Any) -> list[Any]:
+    items = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
+    if not items:
+        raise InputError("nothing to compare: give at least one dataset and one estimator")
+    return items
+
+
+def _named(estimators: list[Any]) -> dict[str, Estimator]:
+    """Estimators under distinct names."""
+    subjects: dict[str, Estimator] = {}
+    for estimator in estimators:
+        name = estimator_name(estimator)
+        if name in subjects:
+            raise InputError(f"two estimators are called {name}; give one another `name`")
+        subjects[name] = resolve(estimator)
+    return subjects
+
+
+def _run(name: str, subject: Estimator, dataset: Dataset, watch: Watch | None) -> Estimate:
+    """The estimate, or a record that says why there is none."""
+    progress = None
+    if watch is not None:
+        watch(dataset.name, name, 0, dataset.poses)
+
+        def progress(done: int, total: int) -> None:
+            watch(dataset.name, name, done, total)
+
+    try:
+        estimate = _call(subject, dataset, progress)
+        if not isinstance(estimate, Estimate):
+            raise TypeError(f"estimate(dataset) returned {type(estimate).__name__}, not Estimate")
+        return judged(dataset, _renamed(estimate, name, dataset.name))
+    except UnsupportedError as reason:
+        return Estimate(name, dataset.name, status=SKIPPED, message=str(reason))
+    except Exception as error:
+        text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return Estimate(name, dataset.name, status=FAILED, message=text)
+
+
+def _call(subject: Estimator, dataset: Dataset, progress: Any) -> Any:
+    """Estimate, with progress if the estimator tells of it."""
+    from inspect import signature
+
+    if progress is not None and "progress" in signature(subject.estimate).parameters:
+        return subject.estimate(dataset, progress=progress)  # type: ignore[call-arg]
+    return subject.estimate(dataset)
+
+
+def _renamed(estimate: Estimate, name: str, dataset: str) -> Estimate:
+    """The tables go by the names that the user gave."""
+    from dataclasses import replace
+
+    return replace(estimate, estimator=name, dataset=dataset)
+
+
+def _options(estimates: Mapping[tuple[str, str], Estimate], name: str) -> dict[str, Any]:
+    options = next(e.options for (_, estimator), e in estimates.items() if estimator == name)
+    return {key: value if _plain(value) else str(value) for key, value in options.items()}
+
+
+def _plain(value: Any) -> bool:
+    return value is None or isinstance(value, str | int | float | bool)
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version(), "machine": platform.machine()}
+    for package in PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            versions[package] = "not installed"
+    return versions
