@@ -9,7 +9,7 @@ import numpy as np
 
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
-from ekfslam.estimate import Estimate, LandmarkEstimates, Trajectory
+from ekfslam.estimate import Estimate, Trajectory
 from ekfslam.registry import Progress
 
 
@@ -31,7 +31,7 @@ class DeadReckoning:
         Returns
         -------
         Estimate
-            With the online trajectory and its covariances, and an empty map.
+            With the online trajectory and its covariances, and no map.
         """
         started = time.perf_counter()
         deltas, covariances = dataset.robot.increments
@@ -47,9 +47,6 @@ class DeadReckoning:
             dataset=dataset.name,
             association="",
             online=Trajectory(poses, geo.invariant_to_additive(poses, total)),
-            landmarks=LandmarkEstimates(
-                np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))
-            ),
             time_total=time.perf_counter() - started,
             time_marginals=0.0,
         )

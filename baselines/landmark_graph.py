@@ -32,6 +32,7 @@ from ekfslam.models.sensors import XY
 
 ODOMETRY_FLOOR = 1e-4  # [m] and [rad]; at 1e-6 the system is indeterminate to gtsam
 PRIOR_FLOOR = 1e-6
+DEPTH_SIGMA = 1e-6  # [m]; moves a point at 10 m by 1e-5 of its smallest sigma here or less
 
 POSE_KEY = gtsam.symbol("x", 0)
 LANDMARK_KEY = gtsam.symbol("l", 0)
@@ -219,8 +220,9 @@ class LandmarkGraph:
         calibration = gtsam.Cal3DS2(*PINHOLE)
         _, first = np.unique(self.association.landmark[used], return_index=True)
         is_first = np.isin(np.arange(len(used)), first).tolist()
-        # Depth is held at 1; x and y are left alone (1e9 m is no information).
-        depth = noiseModel.Constrained.MixedSigmas(1.0, np.array([1e9, 1e9, 0.0]))
+        # Depth is held at 1; x and y are left alone (1e9 m is no information). A constraint would
+        # do the same, but gtsam's marginals of a partly constrained variable are wrong.
+        depth = noiseModel.Diagonal.Sigmas(np.array([1e9, 1e9, DEPTH_SIGMA]))
 
         def factors(k: int) -> Iterator[gtsam.NonlinearFactor]:
             for i in rows[k]:

@@ -218,6 +218,9 @@ class Sightings(NamedTuple):
         Noise of each measurement.
     landmark : (m,) ndarray of int
         Identity, -1 where not known.
+    look : (m,) ndarray of int
+        Equal in neighbouring rows that one sensor saw at one instant: a landmark is in a look at
+        most once.
     """
 
     kind: np.ndarray
@@ -225,6 +228,7 @@ class Sightings(NamedTuple):
     values: Array
     covariance: Array
     landmark: np.ndarray
+    look: np.ndarray
 
     @classmethod
     def of(cls, sensor: Sensor, values: Any, landmark: Any = None) -> Sightings:
@@ -245,6 +249,7 @@ class Sightings(NamedTuple):
             values,
             sensor.covariances(values),
             _array(_default(landmark, count, NO_LANDMARK), np.int64, (count,), "landmark"),
+            np.zeros(count, dtype=np.int64),
         )
 
     def rows(self, start: int, stop: int) -> Sightings:
@@ -442,8 +447,15 @@ class Dataset:
             noise[rows] = sensor.covariances(o.values[rows])
         if o.covariance is not None:
             noise = o.covariance
+        look = np.column_stack([o.step, o.sensor, self.observation_times])
+        changes = (np.diff(look, axis=0) != 0).any(axis=1)
         return Sightings(
-            kinds[o.sensor], mounts[o.sensor], o.values, np.ascontiguousarray(noise), o.landmark
+            kinds[o.sensor],
+            mounts[o.sensor],
+            o.values,
+            np.ascontiguousarray(noise),
+            o.landmark,
+            np.cumsum(np.concatenate([np.zeros(min(len(o), 1), dtype=np.int64), changes])),
         )
 
     @cached_property

@@ -1,14 +1,10 @@
 """The four tidy tables of an estimate: `summary`, `trajectories`, `landmarks`, `innovations`.
 
-Every column has one dtype, whatever is known: text is ``string``, whole numbers are ``Int64``,
-both with a missing value; the rest is ``float64`` with NaN. Columns are described in
-``docs/tables.md``.
+Columns are described in ``docs/tables.md``; their dtypes are in `ekfslam.evaluation.schema`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +12,6 @@ import pandas as pd
 
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
-from ekfslam.errors import FileFormatError, UnknownNameError
 from ekfslam.estimate import Decision, Estimate, LandmarkEstimates, Trajectory
 from ekfslam.evaluation.consistency import (
     gaps,
@@ -26,65 +21,20 @@ from ekfslam.evaluation.consistency import (
     validate,
 )
 from ekfslam.evaluation.landmarks import LandmarkMatch, match_landmarks, true_positions
+from ekfslam.evaluation.schema import SCHEMAS, concat, filled, read_csv
 from ekfslam.evaluation.statistics import mean, rmse, share_inside
 from ekfslam.evaluation.trajectory import absolute_errors, alignment_motion, relative_errors
 from ekfslam.geometry import Array
 
-TEXT, WHOLE, REAL = "string", "Int64", "float64"
-
-
-def _schema(*groups: tuple[str, str]) -> dict[str, str]:
-    return {name: dtype for dtype, names in groups for name in names.split()}
-
-
-_RUN = ((TEXT, "dataset"), (WHOLE, "seed"), (TEXT, "robot estimator"))
-
-SCHEMAS: Mapping[str, Mapping[str, str]] = {
-    "summary": _schema(
-        *_RUN,
-        (TEXT, "series association alignment status message"),
-        (WHOLE, "steps observations"),
-        (WHOLE, "landmarks_true landmarks_estimated landmarks_missed landmarks_spurious"),
-        (REAL, "ate_position_rmse_m ate_position_max_m ate_heading_rmse_rad"),
-        (REAL, "rpe_position_rmse_m rpe_heading_rmse_rad"),
-        (REAL, "landmark_rmse_m landmark_max_m"),
-        (REAL, "nees_pose_mean nees_pose_final nees_pose_invariant_mean nees_pose_inside_95"),
-        (REAL, "nees_landmark_mean nis_per_dof nis_inside_95"),
-        (REAL, "graph_error graph_chi2_per_dof"),
-        (REAL, "gap_final_position_m gap_final_heading_rad gap_landmark_rmse_m"),
-        (REAL, "sigma_ratio_position sigma_ratio_heading"),
-        (REAL, "time_total_s time_marginals_s time_per_step_median_us time_per_step_p99_us"),
-    ),
-    "trajectories": _schema(
-        *_RUN,
-        (TEXT, "series"),
-        (WHOLE, "step"),
-        (REAL, "time_s x_m y_m theta_rad cov_xx cov_xy cov_xt cov_yy cov_yt cov_tt"),
-        (REAL, "true_x_m true_y_m true_theta_rad"),
-        (REAL, "error_x_m error_y_m error_theta_rad error_position_m"),
-        (REAL, "nees nees_invariant nis"),
-        (WHOLE, "nis_dof"),
-        (REAL, "time_step_s"),
-    ),
-    "landmarks": _schema(
-        *_RUN,
-        (TEXT, "series"),
-        (WHOLE, "landmark true_landmark"),
-        (REAL, "x_m y_m cov_xx cov_xy cov_yy true_x_m true_y_m"),
-        (REAL, "error_x_m error_y_m error_m nees"),
-    ),
-    "innovations": _schema(
-        *_RUN,
-        (WHOLE, "step"),
-        (REAL, "time_s"),
-        (TEXT, "sensor"),
-        (WHOLE, "landmark"),
-        (TEXT, "decision"),
-        (REAL, "innovation_0 innovation_1 S_00 S_01 S_11 nis"),
-        (WHOLE, "dof"),
-    ),
-}
-"""Columns of each table, in order, with their dtypes."""
+__all__ = [
+    "SCHEMAS",
+    "concat",
+    "innovations",
+    "landmarks",
+    "read_csv",
+    "summary_rows",
+    "trajectories",
+]
 
 # A run that has gone wrong holds NaN, inf or numbers whose squares overflow: its errors are empty
 # or infinite, which is the answer and no reason to warn.
@@ -147,7 +97,7 @@ def summary_rows(
         | _gap_scalars(dataset, estimate, series, reference)
         for name, series in _finite_series(estimate).items()
     ]
-    return concat("summary", [_table("summary", row, 1) for row in rows or [shared]])
+    return concat("summary", [filled("summary", row, 1) for row in rows or [shared]])
 
 
 @_quiet
@@ -193,7 +143,7 @@ def trajectories(dataset: Dataset, estimate: Estimate, alignment: str = "none") 
         columns |= _triangle("cov_xx cov_xy cov_xt cov_yy cov_yt cov_tt", series.covariances)
         if name == "online":
             columns |= {"nis": estimate.step_nis, "nis_dof": estimate.step_dof}
-        tables.append(_table("trajectories", _keys(dataset, estimate) | columns, dataset.poses))
+        tables.append(filled("trajectories", _keys(dataset, estimate) | columns, dataset.poses))
     return concat("trajectories", tables)
 
 
@@ -239,7 +189,7 @@ def landmarks(dataset: Dataset, estimate: Estimate, alignment: str = "none") -> 
         columns |= _columns("true_x_m true_y_m", truth)
         columns |= _columns("error_x_m error_y_m", error)
         columns |= _triangle("cov_xx cov_xy cov_yy", estimated.covariances)
-        tables.append(_table("landmarks", _keys(dataset, estimate) | columns, len(estimated)))
+        tables.append(filled("landmarks", _keys(dataset, estimate) | columns, len(estimated)))
     return concat("landmarks", tables)
 
 
@@ -280,72 +230,8 @@ def innovations(dataset: Dataset, estimate: Estimate) -> pd.DataFrame:
     }
     columns |= _columns("innovation_0 innovation_1", met.innovation)
     columns |= _triangle("S_00 S_01 S_11", met.S)
-    table = _table("innovations", _keys(dataset, estimate) | columns, len(met))
+    table = filled("innovations", _keys(dataset, estimate) | columns, len(met))
     return concat("innovations", [table])
-
-
-# Tables as such ---------------------------------------------------------------------------------
-
-
-def concat(name: str, tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """Stack tables of one kind; none at all make an empty table with every column.
-
-    Parameters
-    ----------
-    name : {"summary", "trajectories", "landmarks", "innovations"}
-    tables : iterable of DataFrame
-
-    Raises
-    ------
-    UnknownNameError
-        For another name.
-    """
-    filled = [table for table in tables if len(table)]
-    empty = _table(name, {}, 0)
-    return pd.concat(filled, ignore_index=True)[list(empty.columns)] if filled else empty
-
-
-def read_csv(name: str, path: str | Path) -> pd.DataFrame:
-    """Read a table written by ``table.to_csv(path, index=False)``, without loss.
-
-    Parameters
-    ----------
-    name : {"summary", "trajectories", "landmarks", "innovations"}
-    path : path
-
-    Raises
-    ------
-    UnknownNameError
-        For another name.
-    FileFormatError
-        If the file is missing or does not hold the columns of this table.
-    """
-    schema = _columns_of(name)
-    try:
-        # Through text, since not every reader of numbers in pandas is exact to the last bit.
-        text = pd.read_csv(path, dtype=TEXT, keep_default_na=False, na_values=[""])
-        if list(text.columns) != list(schema):
-            raise FileFormatError(f"{path}: does not have the columns of {name}")
-        return text.astype(dict(schema))
-    except (OSError, ValueError) as error:
-        raise FileFormatError(f"{path}: cannot be read as {name} ({error})") from None
-
-
-def _columns_of(name: str) -> Mapping[str, str]:
-    if name not in SCHEMAS:
-        raise UnknownNameError("table", name, SCHEMAS)
-    return SCHEMAS[name]
-
-
-def _table(name: str, columns: Mapping[str, Any], rows: int) -> pd.DataFrame:
-    """Columns of a schema from scalars and arrays; what is not given, None or "" is empty."""
-
-    def series(column: str, dtype: Any) -> pd.Series:
-        value = columns.get(column)
-        empty = isinstance(value, str) and not value
-        return pd.Series(None if empty else value, index=range(rows), dtype=dtype)
-
-    return pd.DataFrame({c: series(c, dtype) for c, dtype in _columns_of(name).items()})
 
 
 def _columns(names: str, values: Array) -> dict[str, Array]:

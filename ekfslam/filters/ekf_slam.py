@@ -116,11 +116,9 @@ def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, l
         if min(slam.size[0] + POINT * (last - first), most) > slam.mean.size:
             return k, 1
         predict(slam, deltas[k], Qs[k])
-        associate(slam, register, sightings, first, last, settings, log)
-        nis, dof = update(slam, register, sightings, first, last, settings, log)
+        nis, dof = observe(slam, register, sightings, first, last, settings, log)
         if np.isnan(nis):
             return k, 2
-        extend(slam, register, sightings, first, last, log)
         log.poses[k] = slam.mean[:POSE]
         for i in range(POSE):
             for j in range(i, POSE):
@@ -138,9 +136,31 @@ def predict(slam, delta, Q):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def observe(slam, register, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
+    """Look by look, all that one sensor saw at one instant (Solà, 2.4): associate, correct, extend.
+
+    Returns the squared Mahalanobis norm of the innovations, and how many rows they have.
+    """
+    total, rows = 0.0, 0
+    while first < last:
+        end = first + 1
+        while end < last and sightings.look[end] == sightings.look[first]:
+            end += 1
+        associate(slam, register, sightings, first, end, settings, log)
+        nis, dof = update(slam, register, sightings, first, end, settings, log)
+        if np.isnan(nis):
+            return nis, rows
+        extend(slam, register, sightings, first, end, log)
+        total += nis
+        rows += dof
+        first = end
+    return total, rows
+
+
+@compiled
 def associate(slam, register, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
-    """Who is seen: all observations of the step at the predicted pose (Ciatto, 3.6)."""
-    if settings.nearest and last > first:
+    """Who is seen: all observations of the look at the predicted pose (Ciatto, 3.6)."""
+    if settings.nearest:
         count = register.used[0]
         table = np.empty((last - first, count))
         for i in range(first, last):
@@ -261,9 +281,9 @@ class Ekf:
         Identities from the dataset, or gated nearest neighbour in innovation distance. By default
         "known" where every observation has its identity, else "nearest".
     update : {"joint", "sequential"}
-        All observations of a step in one correction, linearised at the predicted state (the
-        default), or one after another as the texts do, each at the state that the one before left.
-        The matches are made at the predicted pose either way.
+        All that a sensor saw at one instant in one correction, linearised at the predicted state
+        (the default), or one after another as the texts do, each at the state that the one before
+        left. The matches of a look are made at the predicted pose either way.
     accept, new : float
         Gates of the nearest neighbour as probabilities, see `ekfslam.association.gates.Gates`.
     """
@@ -454,9 +474,13 @@ class EkfSlam:
         Raises
         ------
         InputError
-            If the innovation covariance is not positive definite.
+            If a landmark is in it twice, or the innovation covariance is not positive definite.
         """
         count = len(observations.values)
+        pairs = np.column_stack([observations.landmark, observations.look])
+        pairs = pairs[pairs[:, 0] >= 0]
+        if len(np.unique(pairs, axis=0)) < len(pairs):
+            raise InputError("one sensor cannot see the same landmark twice at the same instant")
         self._slam.reserve(self._slam.size + POINT * count)
         self._register = _grown(
             self._register, max(len(self._slam.arrays.mean), len(self._ids) + count)
@@ -467,12 +491,9 @@ class EkfSlam:
         ]
         seen = _writable(observations)._replace(landmark=np.array(codes, dtype=np.int64))
         log = _log(1, count)
-        arguments = self._slam.arrays, self._register, seen, 0, count, self._settings, log
-        associate(*arguments)
-        nis, _ = update(*arguments)
+        nis, _ = observe(self._slam.arrays, self._register, seen, 0, count, self._settings, log)
         if np.isnan(nis):
             raise InputError("the innovation covariance is not positive definite; check the noise")
-        extend(self._slam.arrays, self._register, seen, 0, count, log)
         return Innovations(log.decision, self._names()[log.landmark], log.innovation, log.S)
 
     @property
@@ -544,13 +565,14 @@ def _log(steps: int, rows: int) -> Log:
 
 def _writable(sightings: Sightings) -> Sightings:
     """Contiguous private copies: one type for the compiler, whatever the caller holds."""
-    kind, mount, values, covariance, landmark = sightings
+    kind, mount, values, covariance, landmark, look = sightings
     return Sightings(
         np.array(kind, dtype=np.int64),
         np.array(mount, dtype=float),
         np.array(values, dtype=float),
         np.array(covariance, dtype=float),
         np.array(landmark, dtype=np.int64),
+        np.array(look, dtype=np.int64),
     )
 
 
@@ -579,13 +601,8 @@ def _warm_up(settings: Settings) -> None:
         return
     _warm.add("run")
     slam = GaussianMap(Prior(), 1)
-    nothing = Sightings(
-        np.zeros(0, np.int64),
-        np.zeros((0, 3)),
-        np.zeros((0, 2)),
-        np.zeros((0, 2, 2)),
-        np.zeros(0, np.int64),
-    )
+    none = np.zeros(0, np.int64)
+    nothing = Sightings(none, np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2, 2)), none, none)
     arrays: MapArrays = slam.arrays
     run(
         0, 1, np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros(2, np.int64),

@@ -1,1 +1,15 @@
-"""plots."""
+"""Figures of one run from its tidy tables; needs neither a display nor an estimator."""
+
+from ekfslam.plots.maps import plot_map
+from ekfslam.plots.series import plot_consistency, plot_errors, plot_times
+from ekfslam.plots.style import look, save, style
+
+__all__ = [
+    "look",
+    "plot_consistency",
+    "plot_errors",
+    "plot_map",
+    "plot_times",
+    "save",
+    "style",
+]

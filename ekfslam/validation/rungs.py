@@ -48,8 +48,10 @@ def _estimate(
     if estimate.status == SKIPPED:
         raise UnsupportedError(estimate.message)
     trajectory, landmarks = estimate.final_trajectory, estimate.landmarks
-    if estimate.status == FAILED or trajectory is None or landmarks is None:
-        raise RuntimeError(estimate.message or "the estimate holds no trajectory or no landmarks")
+    if estimate.status == FAILED or trajectory is None:
+        raise RuntimeError(estimate.message or "the estimate holds no trajectory")
+    if landmarks is None:  # dead reckoning has no map
+        landmarks = LandmarkEstimates(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
     return estimate, trajectory, landmarks
 
 

@@ -1,0 +1,133 @@
+"""Columns and dtypes of the four tables, and tables as such: empty, stacked, read back.
+
+Every column has one dtype, whatever is known: text is ``string``, whole numbers are ``Int64``,
+both with a missing value; the rest is ``float64`` with NaN. Columns are described in
+``docs/tables.md``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ekfslam.errors import FileFormatError, UnknownNameError
+
+TEXT, WHOLE, REAL = "string", "Int64", "float64"
+
+
+def _schema(*groups: tuple[str, str]) -> dict[str, str]:
+    return {name: dtype for dtype, names in groups for name in names.split()}
+
+
+_RUN = ((TEXT, "dataset"), (WHOLE, "seed"), (TEXT, "robot estimator"))
+
+SCHEMAS: Mapping[str, Mapping[str, str]] = {
+    "summary": _schema(
+        *_RUN,
+        (TEXT, "series association alignment status message"),
+        (WHOLE, "steps observations"),
+        (WHOLE, "landmarks_true landmarks_estimated landmarks_missed landmarks_spurious"),
+        (REAL, "ate_position_rmse_m ate_position_max_m ate_heading_rmse_rad"),
+        (REAL, "rpe_position_rmse_m rpe_heading_rmse_rad"),
+        (REAL, "landmark_rmse_m landmark_max_m"),
+        (REAL, "nees_pose_mean nees_pose_final nees_pose_invariant_mean nees_pose_inside_95"),
+        (REAL, "nees_landmark_mean nis_per_dof nis_inside_95"),
+        (REAL, "graph_error graph_chi2_per_dof"),
+        (REAL, "gap_final_position_m gap_final_heading_rad gap_landmark_rmse_m"),
+        (REAL, "sigma_ratio_position sigma_ratio_heading"),
+        (REAL, "time_total_s time_marginals_s time_per_step_median_us time_per_step_p99_us"),
+    ),
+    "trajectories": _schema(
+        *_RUN,
+        (TEXT, "series"),
+        (WHOLE, "step"),
+        (REAL, "time_s x_m y_m theta_rad cov_xx cov_xy cov_xt cov_yy cov_yt cov_tt"),
+        (REAL, "true_x_m true_y_m true_theta_rad"),
+        (REAL, "error_x_m error_y_m error_theta_rad error_position_m"),
+        (REAL, "nees nees_invariant nis"),
+        (WHOLE, "nis_dof"),
+        (REAL, "time_step_s"),
+    ),
+    "landmarks": _schema(
+        *_RUN,
+        (TEXT, "series"),
+        (WHOLE, "landmark true_landmark"),
+        (REAL, "x_m y_m cov_xx cov_xy cov_yy true_x_m true_y_m"),
+        (REAL, "error_x_m error_y_m error_m nees"),
+    ),
+    "innovations": _schema(
+        *_RUN,
+        (WHOLE, "step"),
+        (REAL, "time_s"),
+        (TEXT, "sensor"),
+        (WHOLE, "landmark"),
+        (TEXT, "decision"),
+        (REAL, "innovation_0 innovation_1 S_00 S_01 S_11 nis"),
+        (WHOLE, "dof"),
+    ),
+}
+"""Columns of each table, in order, with their dtypes."""
+
+
+def concat(name: str, tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """Stack tables of one kind; none at all make an empty table with every column.
+
+    Parameters
+    ----------
+    name : {"summary", "trajectories", "landmarks", "innovations"}
+    tables : iterable of DataFrame
+
+    Raises
+    ------
+    UnknownNameError
+        For another name.
+    """
+    parts = [table for table in tables if len(table)]
+    empty = filled(name, {}, 0)
+    return pd.concat(parts, ignore_index=True)[list(empty.columns)] if parts else empty
+
+
+def read_csv(name: str, path: str | Path) -> pd.DataFrame:
+    """Read a table written by ``table.to_csv(path, index=False)``, without loss.
+
+    Parameters
+    ----------
+    name : {"summary", "trajectories", "landmarks", "innovations"}
+    path : path
+
+    Raises
+    ------
+    UnknownNameError
+        For another name.
+    FileFormatError
+        If the file is missing or does not hold the columns of this table.
+    """
+    schema = _columns_of(name)
+    try:
+        # Through text, since not every reader of numbers in pandas is exact to the last bit.
+        text = pd.read_csv(path, dtype=TEXT, keep_default_na=False, na_values=[""])
+        if list(text.columns) != list(schema):
+            raise FileFormatError(f"{path}: does not have the columns of {name}")
+        return text.astype(dict(schema))
+    except (OSError, ValueError) as error:
+        raise FileFormatError(f"{path}: cannot be read as {name} ({error})") from None
+
+
+def _columns_of(name: str) -> Mapping[str, str]:
+    if name not in SCHEMAS:
+        raise UnknownNameError("table", name, SCHEMAS)
+    return SCHEMAS[name]
+
+
+def filled(name: str, columns: Mapping[str, Any], rows: int) -> pd.DataFrame:
+    """Columns of a schema from scalars and arrays; what is not given, None or "" is empty."""
+
+    def series(column: str, dtype: Any) -> pd.Series:
+        value = columns.get(column)
+        empty = isinstance(value, str) and not value
+        return pd.Series(None if empty else value, index=range(rows), dtype=dtype)
+
+    return pd.DataFrame({c: series(c, dtype) for c, dtype in _columns_of(name).items()})

@@ -1,0 +1,197 @@
+"""The map: trajectories, landmarks and their 3-sigma ellipses."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from ekfslam import geometry as geo
+from ekfslam.geometry import Array
+from ekfslam.plots.rows import Series, check_one_run, final_series, numbers, series_of, typical
+from ekfslam.plots.style import PAGE, TRUTH, drawing, look
+
+SIGMAS = 3.0
+_ROOM = 1.25  # an estimate is in full view if it makes the map larger by no more than this
+
+
+class _Content(NamedTuple):
+    """What the map shows of an estimator."""
+
+    series: Series
+    path: Array
+    landmarks: Array
+    means: Array  # of the ellipses: the landmarks and the last pose, where there is a covariance
+    covariances: Array
+
+
+def plot_map(
+    trajectories: pd.DataFrame, landmarks: pd.DataFrame, known: ArrayLike | None = None
+) -> Figure:
+    """Map of a run: true and estimated paths, landmarks with 3-sigma ellipses.
+
+    Each estimator is shown with the series that knows most, smoothed before online. The ellipses
+    (98.9 % of a 2-D Gaussian) are those of the landmarks and of the last pose. The frame holds the
+    truth, or without one what most estimators agree on, and every path that is not much larger;
+    the legend says which paths leave it.
+
+    Parameters
+    ----------
+    trajectories, landmarks : DataFrame
+        Rows of one dataset, seed and robot.
+    known : (L, 2) array_like, optional
+        True landmarks [m]; by default those in the table.
+
+    Returns
+    -------
+    Figure
+
+    Raises
+    ------
+    InputError
+        If the tables hold several runs or lack columns.
+    """
+    title = check_one_run(trajectories, landmarks)
+    contents = [_content(series, landmarks) for series in final_series(trajectories)]
+    contents = [content for content in contents if len(content.path)]
+    true_path = _true_path(trajectories)
+    true_map = _true_map(landmarks) if known is None else np.asarray(known, float).reshape(-1, 2)
+    truth = np.concatenate([true_path, true_map])
+    low, high = _frame(truth, contents)
+    with drawing(PAGE, _height(high - low)) as figure:
+        axes = figure.add_subplot(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        for content in contents:
+            _draw(axes, content, (low, high))
+        _draw_truth(axes, true_path, true_map)
+        paths = [(c.path, look(c.series.estimator).color) for c in contents]
+        _draw_ends(axes, paths + [(true_path, TRUTH)] * bool(len(true_path)))
+        figure.suptitle(f"{title}: map with 3σ ellipses" if contents else "no estimate to show")
+        figure.legend(loc="outside lower center", ncols=3)
+    return figure
+
+
+# What there is to show --------------------------------------------------------------------------
+
+
+def _finite(rows: Array) -> Array:
+    return rows[np.isfinite(rows).all(axis=1)]
+
+
+def _true_path(trajectories: pd.DataFrame) -> Array:
+    for series in series_of(trajectories):
+        return _finite(numbers(series.rows, "true_x_m", "true_y_m"))
+    return np.empty((0, 2))
+
+
+def _true_map(landmarks: pd.DataFrame) -> Array:
+    return np.unique(_finite(numbers(landmarks, "true_x_m", "true_y_m")), axis=0)
+
+
+def _content(series: Series, landmarks: pd.DataFrame) -> _Content:
+    own = (landmarks["estimator"] == series.estimator) & (landmarks["series"] == series.name)
+    columns = ("x_m", "y_m", "cov_xx", "cov_xy", "cov_yy")
+    poses, points = numbers(series.rows, *columns), numbers(landmarks[own], *columns)
+    gaussians = _finite(np.concatenate([points, poses[-1:]]))
+    covariances = gaussians[:, [2, 3, 3, 4]].reshape(-1, 2, 2)
+    valid = _is_covariance(covariances)
+    return _Content(
+        series,
+        _finite(poses[:, :2]),
+        _finite(points[:, :2]),
+        gaussians[valid, :2],
+        covariances[valid],
+    )
+
+
+def _is_covariance(matrices: Array) -> np.ndarray:
+    """Which symmetric (n, 2, 2) are positive semi-definite, up to round-off."""
+    xx, xy, yy = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    return (xx >= 0) & (yy >= 0) & (xy**2 <= xx * yy * (1 + 1e-9))
+
+
+# The frame --------------------------------------------------------------------------------------
+
+
+def _frame(truth: Array, contents: list[_Content]) -> tuple[Array, Array]:
+    """Corners of the view: the truth and the estimates that are not much larger, with a margin."""
+    boxes = [np.concatenate([truth, content.path, content.landmarks]) for content in contents]
+    # Where no truth says how large the world is, those do who have mapped it: dead reckoning has
+    # nothing to hold on to.
+    mappers = [b for b, c in zip(boxes, contents, strict=True) if len(c.landmarks)] or boxes
+    reference = _diagonal(truth) if len(truth) else typical([_diagonal(box) for box in mappers])
+    reference = max(reference, 1.0)
+    points = np.concatenate([truth, *(b for b in boxes if _diagonal(b) <= _ROOM * reference)])
+    if not len(points):
+        return np.zeros(2), np.ones(2)
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = max(0.04 * float((high - low).max()), 0.5)
+    return low - margin, high + margin
+
+
+def _diagonal(points: Array) -> float:
+    return float(np.hypot(*np.ptp(points, axis=0)))
+
+
+def _height(extent: Array) -> float:
+    """Height of a figure of full width whose axes have this extent, legend included [in]."""
+    beside, below = 0.5, 1.2
+    return float(np.clip((PAGE - beside) * extent[1] / extent[0], 2.0, PAGE)) + below
+
+
+# Artists ----------------------------------------------------------------------------------------
+
+
+def _draw(axes: Axes, content: _Content, frame: tuple[Array, Array]) -> None:
+    color, marker, linestyle = look(content.series.estimator)
+    leaves = ((content.path < frame[0]) | (content.path > frame[1])).any()
+    label = content.series.label + (", leaves the frame" if leaves else "")
+    axes.plot(*content.path.T, color=color, linestyle=linestyle, label=label, zorder=3)
+    axes.plot(
+        *content.landmarks.T,
+        color=color,
+        marker=marker,
+        linestyle="none",
+        markersize=3,
+        markerfacecolor="none",
+        markeredgewidth=0.7,
+        zorder=4,
+    )
+    contours = geo.ellipse(content.means, content.covariances, SIGMAS)
+    axes.add_collection(
+        LineCollection(
+            list(contours), colors=color, linewidths=0.7, linestyles=linestyle, zorder=4
+        ),
+        autolim=False,
+    )
+
+
+def _draw_truth(axes: Axes, path: Array, landmarks: Array) -> None:
+    if len(path):
+        axes.plot(*path.T, color=TRUTH, linewidth=0.5, label="truth", zorder=5)
+    if len(landmarks):
+        axes.plot(
+            *landmarks.T,
+            color=TRUTH,
+            marker="+",
+            linestyle="none",
+            markersize=5,
+            markeredgewidth=0.7,
+            label="true landmark",
+            zorder=5,
+        )
+
+
+def _draw_ends(axes: Axes, paths: list[tuple[Array, str]]) -> None:
+    """Mark where each path starts, which is the same place but for smoothing, and where it ends."""
+    edge: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 0.5, "zorder": 6}
+    starts = np.array([path[0] for path, _ in paths]).reshape(-1, 2)
+    axes.plot(*starts.T, ">", color=TRUTH, markersize=5, label="start", **edge)
+    for path, color in paths:
+        axes.plot(*path[-1], "s", color=color, markersize=4, **edge)
+    axes.plot([], [], "s", color=TRUTH, markersize=4, label="end", **edge)

@@ -1,0 +1,91 @@
+"""What the figures read from the tables: one run, its series, columns as numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from ekfslam.errors import InputError
+from ekfslam.geometry import Array
+
+# A diverged run can hold numbers whose squares overflow; no figure has room for them.
+_LARGEST = 1e100
+
+
+class Series(NamedTuple):
+    """The rows of one series of one estimator."""
+
+    estimator: str
+    name: str
+    rows: pd.DataFrame
+
+    @property
+    def label(self) -> str:
+        """How a legend calls it."""
+        return f"{self.estimator} ({self.name})"
+
+
+def check_one_run(*tables: pd.DataFrame) -> str:
+    """Check that tables are of one run; return what a title says of it.
+
+    Raises
+    ------
+    InputError
+        If they hold several datasets, seeds or robots, or lack these columns.
+    """
+    keys = {"dataset": "string", "seed": "Int64", "robot": "string"}
+    for table in tables:
+        missing = [key for key in (*keys, "estimator", "series") if key not in table]
+        if missing:
+            raise InputError(f"the table has no column {', '.join(missing)}")
+    runs = pd.concat([table[list(keys)].astype(keys) for table in tables]).drop_duplicates()
+    if len(runs) > 1:
+        raise InputError("a figure shows one dataset, seed and robot; select them in the tables")
+    for dataset, seed, _ in runs.itertuples(index=False):
+        return str(dataset) if pd.isna(seed) else f"{dataset}, seed {int(seed)}"
+    return ""
+
+
+def series_of(table: pd.DataFrame) -> Iterator[Series]:
+    """The series of a table in order of appearance."""
+    for (estimator, name), rows in table.groupby(["estimator", "series"], sort=False):
+        yield Series(str(estimator), str(name), rows)
+
+
+def final_series(table: pd.DataFrame) -> list[Series]:
+    """Of each estimator the series that knows most: smoothed if there is one, else online."""
+    best: dict[str, Series] = {}
+    for series in series_of(table):
+        if series.estimator not in best or series.name == "smoothed":
+            best[series.estimator] = series
+    return list(best.values())
+
+
+def numbers(rows: pd.DataFrame, *columns: str) -> Array:
+    """Columns as an array (n,) or (n, columns); what is missing or out of all bounds is NaN.
+
+    Raises
+    ------
+    InputError
+        If the table lacks one of them.
+    """
+    missing = [name for name in columns if name not in rows]
+    if missing:
+        raise InputError(f"the table has no column {', '.join(missing)}")
+    values = np.column_stack([rows[name].to_numpy(float, na_value=np.nan) for name in columns])
+    values[~(np.abs(values) <= _LARGEST)] = np.nan
+    return values[:, 0] if len(columns) == 1 else values
+
+
+def root(variance: Array) -> Array:
+    """Standard deviations; NaN where a variance is negative."""
+    return np.sqrt(np.where(variance >= 0.0, variance, np.nan))
+
+
+def typical(sizes: list[float]) -> float:
+    """Lower median of the sizes that are known, NaN for none: what a common scale is made for."""
+    known = sorted(size for size in sizes if np.isfinite(size))
+    return known[(len(known) - 1) // 2] if known else float("nan")

@@ -1,0 +1,326 @@
+"""Figures against time: errors with their bands, consistency, time per step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ekfslam.evaluation.statistics import chi2_interval
+from ekfslam.geometry import Array
+from ekfslam.plots.rows import Series, check_one_run, numbers, root, series_of, typical
+from ekfslam.plots.style import COLUMN, PAGE, QUIET, TRUTH, drawing, look
+
+SIGMAS = 3.0
+PROBABILITY = 0.95
+
+_ONE_SAMPLE = "errors along a run depend on each other: its NEES is worth almost one sample"
+_ROOM = 4.0  # a series is in full view if it is no larger than this against the typical one
+_ROWS = ("x error [m]", "y error [m]", "heading error [deg]")
+_INTERVAL = "95 % interval"
+
+
+def plot_errors(trajectories: pd.DataFrame) -> Figure:
+    """Errors of x, y and heading against time within the estimator's own 3-sigma band.
+
+    A column per estimator and series; a row has one scale, and a series that would squash the
+    others is cut off and says so. Without a truth there is no error: then the standard deviations
+    of position (root of the trace) and heading that the estimators claim are shown.
+
+    Parameters
+    ----------
+    trajectories : DataFrame
+        Rows of one dataset, seed and robot.
+
+    Returns
+    -------
+    Figure
+
+    Raises
+    ------
+    InputError
+        If the table holds several runs or lacks columns.
+    """
+    title = check_one_run(trajectories)
+    curves = [_error_curve(series) for series in series_of(trajectories)]
+    curves = [curve for curve in curves if np.isfinite(curve.error).any()]
+    return _errors(curves, title) if curves else _deviations(trajectories, title)
+
+
+def plot_consistency(trajectories: pd.DataFrame) -> Figure:
+    """NEES of the pose and NIS per degree of freedom against their 95 % intervals.
+
+    The two-sided intervals are those of one sample: chi-square with 3 degrees of freedom for the
+    NEES of a pose, and that of each step's own degrees of freedom for its NIS (Bar-Shalom et al.
+    2001). Without a truth there is no NEES.
+
+    Parameters
+    ----------
+    trajectories : DataFrame
+        Rows of one dataset, seed and robot.
+
+    Returns
+    -------
+    Figure
+
+    Raises
+    ------
+    InputError
+        If the table holds several runs or lacks columns.
+    """
+    title = check_one_run(trajectories)
+    everything = list(series_of(trajectories))
+    judged = [s for s in everything if np.isfinite(numbers(s.rows, "nees")).any()]
+    names = list(dict.fromkeys(series.name for series in judged))
+    filters = [s for s in everything if np.isfinite(_nis_per_dof(s)[1]).any()]
+    panels = len(names) + len(filters)
+    if not panels:
+        return _nothing(title, "no NEES and no NIS to show")
+    with drawing(PAGE, 0.8 + 1.5 * panels) as figure:
+        axes = figure.subplots(panels, sharex=True, squeeze=False)[:, 0]
+        for panel, name in zip(axes, names, strict=False):
+            _draw_nees(panel, name, [series for series in judged if series.name == name])
+        for panel, series in zip(axes[len(names) :], filters, strict=True):
+            _draw_nis(panel, series)
+        axes[-1].set_xlabel("time [s]")
+        _finish(figure, f"{title}\n{_ONE_SAMPLE}" if names else title, axes)
+    return figure
+
+
+def plot_times(trajectories: pd.DataFrame) -> Figure:
+    """Time per step of each estimator that measures it.
+
+    Parameters
+    ----------
+    trajectories : DataFrame
+        Rows of one dataset, seed and robot.
+
+    Returns
+    -------
+    Figure
+
+    Raises
+    ------
+    InputError
+        If the table holds several runs or lacks columns.
+    """
+    title = check_one_run(trajectories)
+    timed = {series.estimator: series for series in series_of(trajectories)}
+    curves = [(name, _times(series)) for name, series in timed.items()]
+    curves = [(name, times) for name, times in curves if np.isfinite(times).any()]
+    if not curves:
+        return _nothing(title, "no time per step to show")
+    with drawing(PAGE, COLUMN) as figure:
+        axes = figure.add_subplot(xlabel="step", ylabel="time per step [µs]", yscale="log")
+        for name, times in curves:
+            color, marker, _ = look(name)
+            axes.plot(
+                numbers(timed[name].rows, "step"),
+                times,
+                color=color,
+                marker=marker,
+                linestyle="none",
+                markersize=1.5,
+                markeredgewidth=0.0,
+                label=f"{name}: median {np.nanmedian(times):.3g} µs",
+            )
+        _finish(figure, title, [axes])
+    return figure
+
+
+# Errors -----------------------------------------------------------------------------------------
+
+
+class _Curve(NamedTuple):
+    """Error and standard deviation (n, 3) of x [m], y [m] and heading [deg]."""
+
+    series: Series
+    time: Array
+    error: Array
+    sigma: Array
+
+    @property
+    def reach(self) -> Array:
+        """How far error or band go in each of the three."""
+        both = np.abs(np.concatenate([self.error, SIGMAS * self.sigma]))
+        return np.fmax.reduce(both, axis=0)
+
+
+def _error_curve(series: Series) -> _Curve:
+    rows = series.rows
+    error = numbers(rows, "error_x_m", "error_y_m", "error_theta_rad")
+    sigma = root(numbers(rows, "cov_xx", "cov_yy", "cov_tt"))
+    error[:, 2], sigma[:, 2] = np.degrees(error[:, 2]), np.degrees(sigma[:, 2])
+    return _Curve(series, numbers(rows, "time_s"), error, sigma)
+
+
+def _errors(curves: list[_Curve], title: str) -> Figure:
+    reaches = np.stack([curve.reach for curve in curves])
+    limits = np.array([_limit(reach) for reach in reaches.T])
+    with drawing(max(PAGE, 1.4 * len(curves)), 4.5) as figure:
+        axes = figure.subplots(3, len(curves), sharex=True, sharey="row", squeeze=False)
+        for column, curve, reach in zip(axes.T, curves, reaches, strict=True):
+            column[0].set_title(f"{curve.series.estimator}\n{curve.series.name}")
+            for row, panel in enumerate(column):
+                _draw_error(panel, curve, row, limits[row])
+                if reach[row] > limits[row]:
+                    _say_cut(panel)
+            column[-1].set_xlabel("time [s]")
+        for panel, name, limit in zip(axes[:, 0], _ROWS, limits, strict=True):
+            panel.set(ylabel=name, ylim=(-limit, limit))
+        figure.suptitle(f"{title}: error and own ±3σ band")
+    return figure
+
+
+def _limit(reaches: Array) -> float:
+    """Half the height of a row that shows every series but the extraordinary."""
+    shown = reaches[reaches <= _ROOM * typical(list(reaches))]
+    return 1.15 * float(shown.max(initial=1e-9))
+
+
+def _draw_error(panel: Axes, curve: _Curve, row: int, limit: float) -> None:
+    color = look(curve.series.estimator).color
+    # Cut a little outside of the frame: a vector file would carry numbers of any size along.
+    error = np.clip(curve.error[:, row], -9 * limit, 9 * limit)
+    band = np.clip(SIGMAS * curve.sigma[:, row], 0.0, 9 * limit)
+    panel.fill_between(curve.time, -band, band, color=color, alpha=0.25, linewidth=0.0)
+    panel.axhline(0.0, color=QUIET, linewidth=0.5)
+    panel.plot(curve.time, error, color=color, linewidth=0.8)
+
+
+def _say_cut(panel: Axes) -> None:
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+    panel.text(
+        0.5,
+        0.96,
+        "leaves the frame",
+        transform=panel.transAxes,
+        ha="center",
+        va="top",
+        fontsize=6,
+        bbox=box,
+    )
+
+
+def _deviations(trajectories: pd.DataFrame, title: str) -> Figure:
+    """Without a truth: what the estimators claim."""
+    curves = [
+        (series, _claimed(series))
+        for series in series_of(trajectories)
+        if np.isfinite(_claimed(series)).any()
+    ]
+    if not curves:
+        return _nothing(title, "no errors and no covariances to show")
+    names = list(dict.fromkeys(series.name for series, _ in curves))
+    labels = ("own σ of position [m]", "own σ of heading [deg]")
+    with drawing(PAGE, 4.5) as figure:
+        axes = figure.subplots(2, len(names), sharex=True, sharey="row", squeeze=False)
+        for column, name in zip(axes.T, names, strict=True):
+            column[0].set_title(name)
+            for panel, row in zip(column, range(2), strict=True):
+                shown = [(series, sigma[:, row]) for series, sigma in curves if series.name == name]
+                _draw_lines(panel, shown)
+            column[-1].set_xlabel("time [s]")
+        for panel, label in zip(axes[:, 0], labels, strict=True):
+            panel.set_ylabel(label)
+            panel.set_yscale("log")
+        _finish(figure, f"{title}: no truth, so no error; what the estimators claim", axes.flat)
+    return figure
+
+
+def _claimed(series: Series) -> Array:
+    """Standard deviations of position [m] and heading [deg], (n, 2)."""
+    xx, yy, tt = numbers(series.rows, "cov_xx", "cov_yy", "cov_tt").T
+    sigma = np.column_stack([root(xx + yy), np.degrees(root(tt))])
+    return np.where(sigma > 0.0, sigma, np.nan)  # an exactly known start has no logarithm
+
+
+# Consistency ------------------------------------------------------------------------------------
+
+
+def _nis_per_dof(series: Series) -> tuple[Array, Array, Array]:
+    """Time, NIS per degree of freedom and the degrees of the steps that have both."""
+    time, nis, dof = numbers(series.rows, "time_s", "nis", "nis_dof").T
+    counts = np.isfinite(nis) & (dof > 0)
+    return time[counts], nis[counts] / dof[counts], dof[counts]
+
+
+def _draw_nees(panel: Axes, name: str, shown: Iterable[Series]) -> None:
+    curves = [(series, numbers(series.rows, "nees")) for series in shown]
+    _draw_lines(panel, curves)
+    for bound in chi2_interval(3, PROBABILITY):
+        panel.axhline(float(bound), color=TRUTH, linewidth=0.8, label=_INTERVAL, zorder=4)
+    panel.set(title=f"NEES of the pose, {name}", ylabel="NEES")
+    _scale(panel, np.concatenate([values for _, values in curves]))
+
+
+def _draw_nis(panel: Axes, series: Series) -> None:
+    time, nis, dof = _nis_per_dof(series)
+    low, high = chi2_interval(dof, PROBABILITY)
+    color, marker, _ = look(series.estimator)
+    panel.plot(
+        time, nis, color=color, marker=marker, linestyle="none", markersize=2, markeredgewidth=0
+    )
+    for bound in (low / dof, high / dof):
+        # Dashes and no line: it would jump up and down with the number of landmarks in view.
+        panel.plot(
+            time, bound, "_", color=TRUTH, markersize=3, markeredgewidth=0.6, label=_INTERVAL
+        )
+    panel.set(title=f"NIS per degree of freedom, {series.label}", ylabel="NIS / dof")
+    _scale(panel, nis)
+
+
+def _scale(panel: Axes, values: Array) -> None:
+    """Logarithmic if the values span decades; the lowest per mille may leave the frame."""
+    positive = values[values > 0]
+    low, high = np.quantile(positive, [1e-3, 1.0]) if len(positive) else (1.0, 1.0)
+    if high > 100 * low:
+        panel.set_yscale("log")
+        panel.set_ylim(0.5 * low, 2 * high)
+
+
+# Shared -----------------------------------------------------------------------------------------
+
+
+def _draw_lines(panel: Axes, curves: Iterable[tuple[Series, Array]]) -> None:
+    for series, values in curves:
+        color, _, linestyle = look(series.estimator)
+        time = numbers(series.rows, "time_s")
+        panel.plot(
+            time, values, color=color, linestyle=linestyle, label=series.estimator, linewidth=0.8
+        )
+
+
+def _times(series: Series) -> Array:
+    """Microseconds per step; NaN where the clock saw none."""
+    times = 1e6 * numbers(series.rows, "time_step_s")
+    return np.where(times > 0.0, times, np.nan)
+
+
+def _finish(figure: Figure, title: str, axes: Iterable[Axes]) -> None:
+    """Title, and one legend for all panels."""
+    handles: dict[str, Artist] = {}
+    for panel in axes:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    labels = sorted(handles, key=_INTERVAL.__eq__)  # estimators first
+    figure.suptitle(title)
+    figure.legend(
+        [handles[label] for label in labels],
+        labels,
+        loc="outside lower center",
+        ncols=5,
+        markerscale=2,
+    )
+
+
+def _nothing(title: str, message: str) -> Figure:
+    with drawing(COLUMN, 1.0) as figure:
+        figure.suptitle(title)
+        figure.text(0.5, 0.4, message, ha="center")
+    return figure

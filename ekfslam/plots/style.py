@@ -1,0 +1,154 @@
+"""How figures look, and how they reach the disk: the same everywhere, nothing set globally."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from io import BytesIO
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from ekfslam.storage import atomic_write
+
+COLUMN = 3.5
+"""Width of one column of a paper [in]."""
+PAGE = 7.16
+"""Width of both columns of a paper [in]."""
+
+TRUTH = "#000000"
+QUIET = "#7f7f7f"  # zero lines and intervals
+
+_SETTINGS: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],  # ships with matplotlib: the same on every machine
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "figure.titlesize": 9,
+    "legend.frameon": False,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.0,
+    "pdf.fonttype": 42,  # text stays text in vector files
+    "ps.fonttype": 42,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "ekfslam",  # the same file from the same figure
+}
+
+
+class Look(NamedTuple):
+    """How an estimator is drawn, in every figure."""
+
+    color: str
+    marker: str
+    linestyle: str
+
+
+# Colours that the colour-blind tell apart (Okabe and Ito 2008); their black is for the truth and
+# their yellow too faint on white.
+_BLUE, _GREEN, _ORANGE = "#0072B2", "#009E73", "#E69F00"
+_VERMILLION, _PURPLE, _SKY = "#D55E00", "#CC79A7", "#56B4E9"
+
+LOOKS: Mapping[str, Look] = {
+    "ekf": Look(_BLUE, "o", "-"),
+    "gtsam-batch": Look(_GREEN, "s", "--"),
+    "gtsam-isam2": Look(_ORANGE, "^", "-."),
+    "dead-reckoning": Look("#999999", "x", ":"),
+}
+"""Estimators that come with the package."""
+
+_OTHERS = tuple(
+    Look(color, marker, linestyle)
+    for (marker, linestyle), color in product(
+        [("D", "-"), ("v", "--"), ("P", "-."), ("*", ":")], [_VERMILLION, _PURPLE, _SKY]
+    )
+)
+
+
+def look(estimator: str) -> Look:
+    """Colour, marker and line of an estimator.
+
+    Parameters
+    ----------
+    estimator : str
+        Name. One that is not in `LOOKS` gets a look of its own that depends on the name alone.
+    """
+    known = LOOKS.get(estimator)
+    return known or _OTHERS[zlib.crc32(estimator.encode()) % len(_OTHERS)]
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Settings of matplotlib for figures made or saved inside the ``with`` block."""
+    with matplotlib.rc_context(_SETTINGS):
+        yield
+
+
+class Picture(Figure):
+    """A figure that a notebook shows although pyplot, with its global list, never hears of it."""
+
+    def _repr_png_(self) -> bytes:
+        return _render(self, "png", dpi=150, metadata={"Software": None})
+
+
+@contextmanager
+def drawing(width: float, height: float) -> Iterator[Picture]:
+    """An empty figure of a size in inches, to be drawn on inside the ``with`` block.
+
+    Its layout is settled once, at the end: left to itself it shifts a little at every rendering.
+    """
+    with style():
+        figure = Picture(figsize=(width, height), layout="constrained")
+        yield figure
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+
+
+def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
+    """Write a figure as ``stem.png`` (200 dpi) and ``stem.pdf``; same figure, same bytes.
+
+    Parameters
+    ----------
+    figure : Figure
+    folder : path
+        Exists.
+    stem : str
+        Name of the files without suffix.
+
+    Returns
+    -------
+    Path, Path
+        The PNG and the PDF. Each appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist or cannot be written to.
+    """
+    files = {
+        Path(folder, f"{stem}.png"): _render(figure, "png", dpi=200, metadata={"Software": None}),
+        Path(folder, f"{stem}.pdf"): _render(figure, "pdf", metadata={"CreationDate": None}),
+    }
+    for path, content in files.items():
+        with atomic_write(path) as stream:
+            stream.write(content)
+    png, pdf = files
+    return png, pdf
+
+
+def _render(figure: Figure, form: str, **options: Any) -> bytes:
+    stream = BytesIO()
+    with style():
+        figure.savefig(stream, format=form, **options)
+    return stream.getvalue()
