@@ -256,7 +256,8 @@ def _print_summary(summary: pd.DataFrame) -> None:
     from rich.table import Table
 
     console = _console()
-    for (name, seed), part in summary.groupby(["dataset", "seed"], sort=False, dropna=False):
+    groups: Any = summary.groupby(["dataset", "seed"], sort=False, dropna=False)
+    for (name, seed), part in groups:
         first = part.iloc[0]
         title = f"{name}" + ("" if pd.isna(seed) else f", seed {seed}")
         title += f": {first['steps']} poses, {first['observations']} observations"

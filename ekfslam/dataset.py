@@ -29,9 +29,13 @@ VERSION = 1
 def _array(value: Any, dtype: Any, shape: tuple[int | None, ...], name: str) -> np.ndarray:
     """A read-only array of the given shape (None: any length), or an error that names it."""
     try:
-        array = np.array(value, dtype=dtype)
-    except (TypeError, ValueError) as error:
+        given = np.array(value)
+        array = given.astype(dtype)
+        exact = np.issubdtype(dtype, np.floating) or bool((array == given).all())
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} cannot be read as numbers: {error}") from None
+    if not exact:
+        raise InputError(f"{name} must hold whole numbers")
     if len(array.shape) != len(shape) or any(
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):
@@ -347,6 +351,8 @@ class Dataset:
         self._check_range(o.step, len(self.times), "step", "pose")
         self._check_range(o.sensor, len(self.sensors), "sensor", "sensor")
         self._check_range(o.robot, len(self.robots), "robot", "robot")
+        if o.observed_robot is not None:
+            self._check_range(o.observed_robot, len(self.robots), "observed_robot", "robot", -1)
         back = np.flatnonzero(np.diff(o.step) < 0)
         if len(back):
             raise InputError(f"observations.step goes back at row {back[0] + 1}; sort by step")
@@ -370,8 +376,8 @@ class Dataset:
         self._check_twice()
 
     @staticmethod
-    def _check_range(column: np.ndarray, count: int, name: str, what: str) -> None:
-        bad = np.flatnonzero((column < 0) | (column >= count))
+    def _check_range(column: np.ndarray, count: int, name: str, what: str, least: int = 0) -> None:
+        bad = np.flatnonzero((column < least) | (column >= count))
         if len(bad):
             raise InputError(
                 f"observations.{name} is {column[bad[0]]} in row {bad[0]}, "
@@ -382,8 +388,8 @@ class Dataset:
         """One sensor cannot see the same landmark twice at the same instant."""
         o = self.observations
         known = np.flatnonzero(o.landmark >= 0)
-        key = np.column_stack([o.robot, o.sensor, o.landmark, o.step])[known].astype(float)
-        key = np.column_stack([key, self.observation_times[known]])
+        _, instant = np.unique(self.observation_times, return_inverse=True)
+        key = np.column_stack([o.robot, o.sensor, o.landmark, o.step, instant])[known]
         _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
         if (count > 1).any():
             row = known[first[np.flatnonzero(count > 1)[0]]]
