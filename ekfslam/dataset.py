@@ -15,41 +15,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ekfslam import geometry as geo
+from ekfslam.checks import check_finite, checked_array, checked_covariance, is_covariance
 from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.geometry import Array
-from ekfslam.models.motion import Increments, MotionModel, checked_covariance
+from ekfslam.models.motion import Increments, MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.storage import Reader, Writer
 
 NO_LANDMARK = -1
 FORMAT = "ekfslam-dataset"
 VERSION = 1
-
-
-def _array(value: Any, dtype: Any, shape: tuple[int | None, ...], name: str) -> np.ndarray:
-    """A read-only array of the given shape (None: any length), or an error that names it."""
-    try:
-        given = np.array(value)
-        array = given.astype(dtype)
-        exact = np.issubdtype(dtype, np.floating) or bool((array == given).all())
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name} cannot be read as numbers: {error}") from None
-    if not exact:
-        raise InputError(f"{name} must hold whole numbers")
-    if len(array.shape) != len(shape) or any(
-        want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
-    ):
-        wanted = ", ".join("n" if want is None else str(want) for want in shape)
-        raise InputError(f"{name} must have shape ({wanted}), got {array.shape}")
-    array.flags.writeable = False
-    return array
-
-
-def _finite(array: np.ndarray, name: str) -> None:
-    bad = ~np.isfinite(array)
-    if bad.any():
-        row = int(np.argwhere(bad)[0][0])
-        raise InputError(f"{name} holds NaN or infinite values, first in row {row}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +43,9 @@ class LandmarkMap:
     positions: Array
 
     def __post_init__(self) -> None:
-        ids = _array(self.ids, np.int64, (None,), "landmark ids")
-        positions = _array(self.positions, float, (len(ids), 2), "landmark positions")
-        _finite(positions, "landmark positions")
+        ids = checked_array(self.ids, np.int64, (None,), "landmark ids")
+        positions = checked_array(self.positions, float, (len(ids), 2), "landmark positions")
+        check_finite(positions, "landmark positions")
         if (ids < 0).any() or len(np.unique(ids)) != len(ids):
             raise InputError("landmark ids must be distinct and not negative")
         object.__setattr__(self, "ids", ids)
@@ -96,8 +71,8 @@ class Prior:
     covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def __post_init__(self) -> None:
-        mean = _array(self.mean, float, (3,), "prior mean")
-        _finite(mean, "prior mean")
+        mean = checked_array(self.mean, float, (3,), "prior mean")
+        check_finite(mean, "prior mean")
         object.__setattr__(self, "mean", mean)
         object.__setattr__(
             self, "covariance", checked_covariance(self.covariance, 3, "prior covariance")
@@ -127,12 +102,14 @@ class Robot:
 
     def __post_init__(self) -> None:
         width = len(self.motion.control_names)
-        controls = _array(self.controls, float, (None, width), f"controls of {self.name}")
-        _finite(controls, f"controls of {self.name}")
+        controls = checked_array(self.controls, float, (None, width), f"controls of {self.name}")
+        check_finite(controls, f"controls of {self.name}")
         object.__setattr__(self, "controls", controls)
         if self.truth is not None:
-            truth = _array(self.truth, float, (len(controls) + 1, 3), f"truth of {self.name}")
-            _finite(truth, f"truth of {self.name}")
+            truth = checked_array(
+                self.truth, float, (len(controls) + 1, 3), f"truth of {self.name}"
+            )
+            check_finite(truth, f"truth of {self.name}")
             object.__setattr__(self, "truth", truth)
 
     @cached_property
@@ -176,7 +153,7 @@ class Observations:
     descriptor: Array | None = None
 
     def __post_init__(self) -> None:
-        step = _array(self.step, np.int64, (None,), "observations.step")
+        step = checked_array(self.step, np.int64, (None,), "observations.step")
         count = len(step)
         columns: dict[str, tuple[Any, Any, tuple[int | None, ...]]] = {
             "step": (step, np.int64, (count,)),
@@ -195,10 +172,12 @@ class Observations:
             if getattr(self, name) is not None:
                 columns[name] = (getattr(self, name), dtype, shape)
         for name, (value, dtype, shape) in columns.items():
-            object.__setattr__(self, name, _array(value, dtype, shape, f"observations.{name}"))
+            object.__setattr__(
+                self, name, checked_array(value, dtype, shape, f"observations.{name}")
+            )
         for name in ("values", "time", "covariance"):
             if getattr(self, name) is not None:
-                _finite(getattr(self, name), f"observations.{name}")
+                check_finite(getattr(self, name), f"observations.{name}")
 
     def __len__(self) -> int:
         return len(self.step)
@@ -244,15 +223,15 @@ class Sightings(NamedTuple):
         values : (m, 2) array_like
         landmark : (m,) array_like of int, optional
         """
-        values = _array(values, float, (None, 2), "values")
-        _finite(values, "values")
+        values = checked_array(values, float, (None, 2), "values")
+        check_finite(values, "values")
         count = len(values)
         return cls(
             np.full(count, sensor.view.code),
             np.broadcast_to(sensor.mount, (count, 3)).copy(),
             values,
             sensor.covariances(values),
-            _array(_default(landmark, count, NO_LANDMARK), np.int64, (count,), "landmark"),
+            checked_array(_default(landmark, count, NO_LANDMARK), np.int64, (count,), "landmark"),
             np.zeros(count, dtype=np.int64),
         )
 
@@ -324,8 +303,8 @@ class Dataset:
             raise InputError("a dataset needs at least one robot")
         object.__setattr__(self, "robots", tuple(self.robots))
         object.__setattr__(self, "sensors", tuple(self.sensors))
-        times = _array(self.times, float, (None,), "times")
-        _finite(times, "times")
+        times = checked_array(self.times, float, (None,), "times")
+        check_finite(times, "times")
         object.__setattr__(self, "times", times)
         late = np.flatnonzero(np.diff(times) <= 0)
         if len(late):
@@ -341,7 +320,7 @@ class Dataset:
                 )
         self._check_observations()
         if self.true_landmark is not None:
-            column = _array(
+            column = checked_array(
                 self.true_landmark, np.int64, (len(self.observations),), "true_landmark"
             )
             object.__setattr__(self, "true_landmark", column)
@@ -365,10 +344,7 @@ class Dataset:
                         f"of the observations of {sensor.name}"
                     )
         if o.covariance is not None:
-            scale = np.abs(o.covariance).max(axis=(1, 2), initial=0.0)
-            smallest = np.linalg.eigvalsh(o.covariance)[:, 0]
-            lopsided = np.abs(o.covariance[:, 0, 1] - o.covariance[:, 1, 0])
-            bad = np.flatnonzero((smallest < -1e-9 * scale) | (lopsided > 1e-9 * scale))
+            bad = np.flatnonzero(~is_covariance(o.covariance))
             if len(bad):
                 raise InputError(
                     f"observations.covariance of row {bad[0]} is not positive semi-definite"

@@ -265,7 +265,12 @@ class Estimate:
                     if entry.name in reader.header["parts"]:
                         kind = parts[entry.name]
                         values[entry.name] = kind(
-                            **{f.name: reader.get(f"{entry.name}.{f.name}") for f in fields(kind)}
+                            **{
+                                f.name: reader.get(f"{entry.name}.{f.name}")
+                                if f.default is None
+                                else reader.need(f"{entry.name}.{f.name}")
+                                for f in fields(kind)
+                            }
                         )
                 elif entry.name in reader.header:
                     values[entry.name] = reader.header[entry.name]

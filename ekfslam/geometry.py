@@ -40,8 +40,9 @@ def wrap(angle: ArrayLike) -> Array:
     """
     angle = np.asarray(angle, dtype=float)
     wrapped = angle - TAU * np.floor((angle + np.pi) / TAU)
-    # Rounding can land a hair's breadth outside the half-open interval.
-    return np.where(wrapped >= np.pi, wrapped - TAU, np.where(wrapped < -np.pi, -np.pi, wrapped))
+    # Rounding can land a hair's breadth outside the half-open interval, or leave its last number.
+    wrapped = np.where(wrapped >= np.pi, wrapped - TAU, np.maximum(wrapped, -np.pi))
+    return np.where((angle >= -np.pi) & (angle < np.pi), angle, wrapped)
 
 
 def rotation(theta: ArrayLike) -> Array:

@@ -43,7 +43,8 @@ def estimator_name(estimator: str | Any) -> str:
     """How an estimator is called in tables: its name, `name` attribute or class."""
     if isinstance(estimator, str):
         return estimator.rpartition(":")[2]
-    return str(getattr(estimator, "name", type(estimator).__name__))
+    kind = estimator if isinstance(estimator, type) else type(estimator)
+    return str(getattr(estimator, "name", kind.__name__))
 
 
 def resolve(estimator: str | Any, **options: Any) -> Estimator:
@@ -79,7 +80,10 @@ def resolve(estimator: str | Any, **options: Any) -> Estimator:
 def _load(name: str) -> Any:
     known = registered()
     if name in known:
-        return known[name].load()
+        try:
+            return known[name].load()
+        except Exception as error:
+            raise InputError(f"cannot load estimator {name!r}: {error}") from None
     if ":" not in name:
         raise UnknownNameError("estimator", name, known)
     module_name, _, attribute = name.partition(":")

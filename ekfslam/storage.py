@@ -8,8 +8,6 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,23 +30,31 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
     Raises
     ------
     InputError
-        If the folder does not exist or cannot be written to.
+        If the folder does not exist or cannot be written to, or the disk is full.
     """
     path = Path(path)
+    scratch = None
     try:
         handle, scratch = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror}") from None
-    try:
         with os.fdopen(handle, "wb") as stream:
             yield stream
         umask = os.umask(0)
         os.umask(umask)
-        os.chmod(scratch, 0o666 & ~umask)
+        os.chmod(scratch, 0o666 & ~umask)  # mkstemp keeps others out
         os.replace(scratch, path)
-    except BaseException:
-        Path(scratch).unlink(missing_ok=True)
-        raise
+        scratch = None
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from None
+    finally:
+        if scratch is not None:
+            Path(scratch).unlink(missing_ok=True)
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's numbers and arrays as JSON holds them."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise InputError(f"cannot save {value!r}: only numbers, text and lists of them")
 
 
 class Writer:
@@ -65,7 +71,8 @@ class Writer:
 
     def save(self, path: str | Path) -> None:
         """Write the file, whole or not at all."""
-        header = np.frombuffer(json.dumps(self.header).encode(), dtype=np.uint8)
+        content = self.header | {"arrays": list(self._arrays)}
+        header = np.frombuffer(json.dumps(content, default=_plain).encode(), dtype=np.uint8)
         with atomic_write(path) as stream:
             np.savez_compressed(stream, header=header, **self._arrays)  # type: ignore[arg-type]
 
@@ -80,21 +87,11 @@ class Reader:
         if not self.path.is_file():
             raise FileFormatError(f"{self.path}: no such file")
         try:
-            with np.load(self.path, allow_pickle=False) as archive:
+            with self.path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
                 self._arrays = {name: archive[name] for name in archive.files}
             self.header = json.loads(self._arrays.pop("header").tobytes())
             form, version = self.header["format"], self.header["version"]
-        except (
-            AttributeError,
-            EOFError,
-            KeyError,
-            NotImplementedError,
-            OSError,
-            TypeError,
-            ValueError,
-            zipfile.BadZipFile,
-            zlib.error,
-        ) as error:
+        except Exception as error:  # whatever a damaged archive sets off
             raise FileFormatError(
                 f"{self.path}: damaged, or not a file of this package ({error})"
             ) from None
@@ -105,6 +102,8 @@ class Reader:
                 f"{self.path}: has format version {version}, newer than {self._version}, "
                 "which this ekfslam reads; update ekfslam"
             )
+        if self.header.get("arrays") != list(self._arrays):
+            raise FileFormatError(f"{self.path}: damaged, arrays are missing")
         return self
 
     def get(self, name: str) -> Any:
@@ -123,5 +122,5 @@ class Reader:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if isinstance(error, KeyError | TypeError | InputError | IndexError):
+        if isinstance(error, Exception) and not isinstance(error, FileFormatError):
             raise FileFormatError(f"{self.path}: damaged ({error})") from None

@@ -21,6 +21,8 @@ from ekfslam.models.sensors import RANGE_BEARING
 @compiled
 def wrap(angle: float) -> float:
     """Angle in [-pi, pi); see `ekfslam.geometry.wrap`."""
+    if -math.pi <= angle < math.pi:
+        return angle
     wrapped = angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
     if wrapped >= math.pi:
         return wrapped - 2.0 * math.pi

@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ekfslam.checks import checked_array, checked_covariance, checked_number
 from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.geometry import Array, arc_coefficient_derivatives, arc_coefficients, congruence
 
@@ -138,7 +139,7 @@ KINDS: Mapping[str, _Kind] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MotionModel:
     """How controls move the robot, and how far they can be trusted.
 
@@ -184,9 +185,9 @@ class MotionModel:
             if (value is not None) != (kind.parameter == name):
                 verb = "needs" if value is None else "takes no"
                 raise InputError(f"motion model {self.kind!r} {verb} {name}")
-            if value is not None and not (np.isfinite(value) and value > 0):
+            if value is not None and not 0 < checked_number(value, name) < np.inf:
                 raise InputError(f"{name} must be positive and finite, got {value}")
-        if not (np.isfinite(self.slip) and self.slip >= 0):
+        if not 0 <= checked_number(self.slip, "slip") < np.inf:
             raise InputError(f"slip must be a non-negative length [m], got {self.slip}")
         if (self.covariance is None) == (self.proportional is None):
             raise InputError(
@@ -195,7 +196,7 @@ class MotionModel:
         if self.proportional is not None:
             if "wheel" not in self.kind:
                 raise InputError(f"proportional noise is for wheels, not for {self.kind!r}")
-            p1, p2 = (float(p) for p in self.proportional)
+            p1, p2 = checked_array(self.proportional, float, (2,), "proportional").tolist()
             if not (np.isfinite([p1, p2]).all() and p1 >= 0 and p2 >= 0):
                 raise InputError(f"p1 and p2 must be non-negative and finite, got {p1}, {p2}")
             object.__setattr__(self, "proportional", (p1, p2))
@@ -283,33 +284,8 @@ class MotionModel:
                 values[name] = getattr(self, name)
         return values
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, MotionModel) and self.to_dict() == other.to_dict()
 
-def checked_covariance(matrix: Any, size: int, name: str) -> Array:
-    """A covariance as a read-only symmetric array.
-
-    Parameters
-    ----------
-    matrix : (size, size) array_like
-    size : int
-    name : str
-        What the error calls it.
-
-    Raises
-    ------
-    InputError
-        If the shape is wrong, a value is not finite, or it is not symmetric positive
-        semi-definite.
-    """
-    matrix = np.array(matrix, dtype=float)
-    if matrix.shape != (size, size):
-        raise InputError(f"{name} must have shape ({size}, {size}), got {matrix.shape}")
-    if not np.isfinite(matrix).all():
-        raise InputError(f"{name} holds NaN or infinite values")
-    scale = max(float(np.abs(matrix).max()), np.finfo(float).tiny)
-    if np.abs(matrix - matrix.T).max() > 1e-9 * scale:
-        raise InputError(f"{name} is not symmetric")
-    matrix = 0.5 * (matrix + matrix.T)
-    if np.linalg.eigvalsh(matrix).min() < -1e-9 * scale:
-        raise InputError(f"{name} is not positive semi-definite")
-    matrix.flags.writeable = False
-    return matrix
+    def __hash__(self) -> int:
+        return hash(self.kind)

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ekfslam import geometry as geo
+from ekfslam.checks import checked_array, checked_covariance, checked_number
 from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.geometry import Array
-from ekfslam.models.motion import checked_covariance
 
 
 def _polar(point: Array) -> Array:
@@ -88,7 +88,7 @@ VIEWS: Mapping[str, View] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sensor:
     """A sensor on the body.
 
@@ -131,11 +131,12 @@ class Sensor:
         object.__setattr__(
             self, "covariance", checked_covariance(self.covariance, 2, f"covariance of {self.name}")
         )
-        mount = np.array(self.mount, dtype=float)
+        mount = checked_array(self.mount, float, (None,), f"mount of {self.name}")
         if mount.shape != (3,) or not np.isfinite(mount).all():
             raise InputError(f"mount of {self.name} must be three finite numbers (dx, dy, heading)")
-        mount.flags.writeable = False
         object.__setattr__(self, "mount", mount)
+        for name in ("min_range", "max_range", "field_of_view", "range_growth"):
+            checked_number(getattr(self, name), f"{name} of {self.name}")
         if not 0 <= self.min_range <= self.max_range:
             raise InputError(
                 f"{self.name} needs 0 <= min_range <= max_range, "
@@ -143,7 +144,7 @@ class Sensor:
             )
         if not 0 < self.field_of_view <= geo.TAU + 1e-12:
             raise InputError(f"field_of_view of {self.name} must be in (0, 2 pi] [rad]")
-        if not (np.isfinite(self.range_growth) and self.range_growth >= 0):
+        if not 0 <= self.range_growth < np.inf:
             raise InputError(f"range_growth of {self.name} must be non-negative")
         if self.range_growth > 0 and self.kind != "range-bearing":
             raise InputError(f"range_growth of {self.name} needs a range, not {self.kind!r}")
@@ -254,3 +255,9 @@ class Sensor:
             "range_growth": self.range_growth,
             "name": self.name,
         }
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sensor) and self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        return hash((self.kind, self.name))
