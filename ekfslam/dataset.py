@@ -20,9 +20,9 @@ from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import Increments, MotionModel
 from ekfslam.models.sensors import Sensor
+from ekfslam.observations import Observations, Sightings
 from ekfslam.storage import Reader, Writer
 
-NO_LANDMARK = -1
 FORMAT = "ekfslam-dataset"
 VERSION = 1
 
@@ -116,128 +116,6 @@ class Robot:
     def increments(self) -> Increments:
         """Body increments of the whole run with their covariances, computed once."""
         return self.motion.increments(self.controls)
-
-
-@dataclass(frozen=True, eq=False)
-class Observations:
-    """Sightings as flat columns, one row each, in order of step.
-
-    Parameters
-    ----------
-    step : (M,) array_like of int
-        Pose at which the sighting was made, not decreasing.
-    values : (M, 2) array_like
-        What the sensor reports, in the order of its kind.
-    landmark : (M,) array_like of int, optional
-        Identity of the landmark, -1 where not known (the default).
-    sensor, robot : (M,) array_like of int, optional
-        Indices into the dataset's sensors and robots; 0 by default.
-    time : (M,) array_like, optional
-        [s]; the step's time by default.
-    covariance : (M, 2, 2) array_like, optional
-        Noise of each row, where the set gives it; the sensor's by default.
-    observed_robot : (M,) array_like of int, optional
-        Robot seen instead of a landmark, -1 for none.
-    descriptor : (M,) array_like, optional
-        Such as a trunk diameter [m]; NaN where missing.
-    """
-
-    step: np.ndarray
-    values: Array
-    landmark: np.ndarray = None  # type: ignore[assignment]
-    sensor: np.ndarray = None  # type: ignore[assignment]
-    robot: np.ndarray = None  # type: ignore[assignment]
-    time: Array | None = None
-    covariance: Array | None = None
-    observed_robot: np.ndarray | None = None
-    descriptor: Array | None = None
-
-    def __post_init__(self) -> None:
-        step = checked_array(self.step, np.int64, (None,), "observations.step")
-        count = len(step)
-        columns: dict[str, tuple[Any, Any, tuple[int | None, ...]]] = {
-            "step": (step, np.int64, (count,)),
-            "values": (self.values, float, (count, 2)),
-            "landmark": (_default(self.landmark, count, NO_LANDMARK), np.int64, (count,)),
-            "sensor": (_default(self.sensor, count, 0), np.int64, (count,)),
-            "robot": (_default(self.robot, count, 0), np.int64, (count,)),
-        }
-        optional: dict[str, tuple[Any, tuple[int | None, ...]]] = {
-            "time": (float, (count,)),
-            "covariance": (float, (count, 2, 2)),
-            "observed_robot": (np.int64, (count,)),
-            "descriptor": (float, (count,)),
-        }
-        for name, (dtype, shape) in optional.items():
-            if getattr(self, name) is not None:
-                columns[name] = (getattr(self, name), dtype, shape)
-        for name, (value, dtype, shape) in columns.items():
-            object.__setattr__(
-                self, name, checked_array(value, dtype, shape, f"observations.{name}")
-            )
-        for name in ("values", "time", "covariance"):
-            if getattr(self, name) is not None:
-                check_finite(getattr(self, name), f"observations.{name}")
-
-    def __len__(self) -> int:
-        return len(self.step)
-
-
-def _default(column: Any, count: int, value: int) -> Any:
-    return np.full(count, value) if column is None else column
-
-
-class Sightings(NamedTuple):
-    """Observations as an estimator reads them: what the sensors say has been looked up.
-
-    Attributes
-    ----------
-    kind : (m,) ndarray of int
-        Code of the view, `ekfslam.models.sensors.VIEWS`.
-    mount : (m, 3) ndarray
-        Pose of the sensor on the body.
-    values : (m, 2) ndarray
-    covariance : (m, 2, 2) ndarray
-        Noise of each measurement.
-    landmark : (m,) ndarray of int
-        Identity, -1 where not known.
-    look : (m,) ndarray of int
-        Equal in neighbouring rows that one sensor saw at one instant: a landmark is in a look at
-        most once.
-    """
-
-    kind: np.ndarray
-    mount: Array
-    values: Array
-    covariance: Array
-    landmark: np.ndarray
-    look: np.ndarray
-
-    @classmethod
-    def of(cls, sensor: Sensor, values: Any, landmark: Any = None) -> Sightings:
-        """Sightings of one sensor, for use step by step.
-
-        Parameters
-        ----------
-        sensor : Sensor
-        values : (m, 2) array_like
-        landmark : (m,) array_like of int, optional
-        """
-        values = checked_array(values, float, (None, 2), "values")
-        check_finite(values, "values")
-        count = len(values)
-        return cls(
-            np.full(count, sensor.view.code),
-            np.broadcast_to(sensor.mount, (count, 3)).copy(),
-            values,
-            sensor.covariances(values),
-            checked_array(_default(landmark, count, NO_LANDMARK), np.int64, (count,), "landmark"),
-            np.zeros(count, dtype=np.int64),
-        )
-
-    def rows(self, start: int, stop: int) -> Sightings:
-        """The rows from start to before stop, as views."""
-        return Sightings(*(column[start:stop] for column in self))
 
 
 class Step(NamedTuple):

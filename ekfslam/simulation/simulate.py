@@ -11,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ekfslam import geometry as geo
-from ekfslam.dataset import NO_LANDMARK, Dataset, Observations, Prior, Robot
+from ekfslam.dataset import Dataset, Prior, Robot
 from ekfslam.errors import InputError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
+from ekfslam.observations import NO_LANDMARK, Observations
 from ekfslam.simulation.scenario import Scenario, load_scenario
 
 PAIRS_AT_ONCE = 1_000_000  # (pose, landmark) pairs held in memory
