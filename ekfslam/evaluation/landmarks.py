@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ekfslam.dataset import NO_LANDMARK, Dataset
+from ekfslam.dataset import Dataset
 from ekfslam.estimate import Decision, Estimate, LandmarkEstimates
 from ekfslam.geometry import Array
+from ekfslam.observations import NO_LANDMARK
 
 
 class LandmarkMatch(NamedTuple):
