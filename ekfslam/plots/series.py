@@ -222,7 +222,7 @@ def _deviations(trajectories: pd.DataFrame, title: str) -> Figure:
         axes = figure.subplots(2, len(names), sharex=True, sharey="row", squeeze=False)
         for column, name in zip(axes.T, names, strict=True):
             column[0].set_title(name)
-            for panel, row in zip(column, range(2), strict=True):
+            for row, panel in enumerate(column):
                 shown = [(series, sigma[:, row]) for series, sigma in curves if series.name == name]
                 _draw_lines(panel, shown)
             column[-1].set_xlabel("time [s]")
@@ -253,10 +253,11 @@ def _nis_per_dof(series: Series) -> tuple[Array, Array, Array]:
 def _draw_nees(panel: Axes, name: str, shown: Iterable[Series]) -> None:
     curves = [(series, numbers(series.rows, "nees")) for series in shown]
     _draw_lines(panel, curves)
-    for bound in chi2_interval(3, PROBABILITY):
+    low, high = chi2_interval(3, PROBABILITY)
+    for bound in (low, high):
         panel.axhline(float(bound), color=TRUTH, linewidth=0.8, label=_INTERVAL, zorder=4)
     panel.set(title=f"NEES of the pose, {name}", ylabel="NEES")
-    _scale(panel, np.concatenate([values for _, values in curves]))
+    _scale(panel, np.concatenate([values for _, values in curves]), float(low), float(high))
 
 
 def _draw_nis(panel: Axes, series: Series) -> None:
@@ -272,16 +273,19 @@ def _draw_nis(panel: Axes, series: Series) -> None:
             time, bound, "_", color=TRUTH, markersize=3, markeredgewidth=0.6, label=_INTERVAL
         )
     panel.set(title=f"NIS per degree of freedom, {series.label}", ylabel="NIS / dof")
-    _scale(panel, nis)
+    _scale(panel, nis, float((low / dof).min()), float((high / dof).max()))
 
 
-def _scale(panel: Axes, values: Array) -> None:
-    """Logarithmic if the values span decades; the lowest per mille may leave the frame."""
+def _scale(panel: Axes, values: Array, low: float, high: float) -> None:
+    """Logarithmic if the values span decades: the interval in view, but not the lowest per mille.
+
+    Single samples close to zero would take half of the panel.
+    """
     positive = values[values > 0]
-    low, high = np.quantile(positive, [1e-3, 1.0]) if len(positive) else (1.0, 1.0)
-    if high > 100 * low:
+    bottom, top = np.quantile(positive, [1e-3, 1.0]) if len(positive) else (low, high)
+    if max(top, high) > 100 * bottom:
         panel.set_yscale("log")
-        panel.set_ylim(0.5 * low, 2 * high)
+        panel.set_ylim(0.5 * min(bottom, low), 2 * max(top, high))
 
 
 # Shared -----------------------------------------------------------------------------------------
@@ -314,7 +318,7 @@ def _finish(figure: Figure, title: str, axes: Iterable[Axes]) -> None:
         [handles[label] for label in labels],
         labels,
         loc="outside lower center",
-        ncols=5,
+        ncols=4,
         markerscale=2,
     )
 

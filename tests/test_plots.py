@@ -1,0 +1,477 @@
+"""Figures: what is drawn is what the tables say; files; broken and empty tables."""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+from IPython.core.formatters import PNGFormatter
+from matplotlib import pyplot
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.stats import chi2
+
+from ekfslam import plots
+from ekfslam.errors import InputError
+from ekfslam.evaluation import tables
+from ekfslam.plots.style import LOOKS
+
+STEPS = 60
+RUN = {"dataset": "ring", "seed": 3, "robot": "robot"}
+SERIES = [
+    ("ekf", "online"),
+    ("gtsam-isam2", "online"),
+    ("gtsam-isam2", "smoothed"),
+    ("dead-reckoning", "online"),
+    ("mine", "online"),
+]
+LANDMARKS = np.array([[0.0, 14.0], [14.0, 0.0], [-14.0, 0.0], [0.0, -14.0]])
+NAMES = ("map", "errors", "consistency", "times")
+
+
+def covariances(rng, count, size):
+    root = rng.normal(scale=0.1, size=(count, size, size))
+    return root @ np.swapaxes(root, 1, 2)
+
+
+def columns(names, values):
+    return dict(zip(names.split(), np.asarray(values).T, strict=True))
+
+
+def trajectory(rng, estimator, series):
+    """A lap on a circle of 10 m; dead reckoning drifts 100 m away."""
+    angle = np.linspace(0, 6, STEPS)
+    truth = np.column_stack([10 * np.cos(angle), 10 * np.sin(angle), angle - 3])
+    error = rng.normal(scale=0.1, size=(STEPS, 3))
+    if estimator == "dead-reckoning":
+        error += np.linspace(0, 100, STEPS)[:, None] * [1, 0, 0.01]
+    i, j = np.triu_indices(3)
+    covariance = covariances(rng, STEPS, 3)[:, i, j]
+    rows = RUN | {"estimator": estimator, "series": series, "step": np.arange(STEPS)}
+    rows |= {"time_s": 0.5 * np.arange(STEPS), "nees": rng.chisquare(3, STEPS)}
+    rows |= columns("x_m y_m theta_rad", truth + error)
+    rows |= columns("true_x_m true_y_m true_theta_rad", truth)
+    rows |= columns("error_x_m error_y_m error_theta_rad", error)
+    rows |= columns("cov_xx cov_xy cov_xt cov_yy cov_yt cov_tt", covariance)
+    if estimator in ("ekf", "mine"):
+        dof = rng.integers(0, 4, STEPS) * 2
+        nis = np.where(dof > 0, rng.chisquare(np.maximum(dof, 1)), np.nan)
+        rows |= {"nis": nis, "nis_dof": dof}
+    if estimator != "dead-reckoning":
+        rows |= {"time_step_s": rng.uniform(1e-6, 1e-3, STEPS)}
+    return pd.DataFrame(rows)
+
+
+def landmark_rows(rng, estimator, series):
+    positions = LANDMARKS + rng.normal(scale=0.1, size=(4, 2))
+    covariance = covariances(rng, 4, 2)[:, [0, 0, 1], [0, 1, 1]]
+    rows = RUN | {"estimator": estimator, "series": series, "landmark": np.arange(4)}
+    rows |= columns("x_m y_m", positions) | columns("true_x_m true_y_m", LANDMARKS)
+    return pd.DataFrame(rows | columns("cov_xx cov_xy cov_yy", covariance))
+
+
+def typed(name, frames):
+    schema = tables.SCHEMAS[name]
+    return pd.concat(frames).reindex(columns=list(schema)).astype(dict(schema))
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Tables `trajectories` and `landmarks` of one run, as the package types them."""
+    rng = np.random.default_rng(20240607)
+    mappers = [pair for pair in SERIES if pair[0] != "dead-reckoning"]
+    return (
+        typed("trajectories", [trajectory(rng, *pair) for pair in SERIES]),
+        typed("landmarks", [landmark_rows(rng, *pair) for pair in mappers]),
+    )
+
+
+@pytest.fixture(scope="module")
+def figures(run):
+    """Each figure of the run, for looking only."""
+    return {name: draw(name, run) for name in NAMES}
+
+
+def without_truth(run):
+    columns = ["true_", "error_", "nees"]
+    return tuple(
+        table.assign(**{c: np.nan for c in table if c.startswith(tuple(columns))}) for table in run
+    )
+
+
+def draw(name, run):
+    plot = getattr(plots, f"plot_{name}")
+    return plot(*run) if name == "map" else plot(run[0])
+
+
+def of(table, estimator, series="online"):
+    return table[(table["estimator"] == estimator) & (table["series"] == series)]
+
+
+def floats(rows, *names):
+    return np.column_stack([rows[name].to_numpy(float, na_value=np.nan) for name in names])
+
+
+def line(axes, label):
+    (found,) = [artist for artist in axes.lines if str(artist.get_label()).startswith(label)]
+    return found
+
+
+def points(artist):
+    return np.column_stack(artist.get_data()).astype(float)
+
+
+def with_color(artists, estimator):
+    return [a for a in artists if to_hex(a.get_color()) == plots.look(estimator).color.lower()]
+
+
+def column(figure, estimator, series):
+    """The three panels of a column of the figure of errors."""
+    width = len(figure.axes) // 3
+    titles = [axes.get_title() for axes in figure.axes[:width]]
+    return figure.axes[titles.index(f"{estimator}\n{series}") :: width]
+
+
+def legend(figure):
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+# The map ---------------------------------------------------------------------------------------
+
+
+def test_map_ellipses_are_at_mahalanobis_distance_three(run, figures):
+    trajectories, landmarks = run
+    (axes,) = figures["map"].axes
+    for estimator, series in [("ekf", "online"), ("gtsam-isam2", "smoothed")]:
+        # of the landmarks and of the last pose
+        gaussians = pd.concat(
+            [of(landmarks, estimator, series), of(trajectories, estimator, series)[-1:]]
+        )
+        collections = [c for c in axes.collections if isinstance(c, LineCollection)]
+        (contours,) = [
+            c
+            for c in collections
+            if to_hex(c.get_edgecolor()[0]) == plots.look(estimator).color.lower()
+        ]
+        vertices = np.stack(contours.get_segments())
+        means = floats(gaussians, "x_m", "y_m")
+        matrices = floats(gaussians, "cov_xx", "cov_xy", "cov_xy", "cov_yy").reshape(-1, 2, 2)
+        offset = vertices - means[:, None]
+        squared = np.einsum("npi,nij,npj->np", offset, np.linalg.inv(matrices), offset)
+        assert_allclose(np.sqrt(squared), 3.0, rtol=1e-8)
+
+
+def test_map_shows_paths_landmarks_and_ends_on_equal_axes(run, figures):
+    trajectories, landmarks = run
+    (axes,) = figures["map"].axes
+    ekf = of(trajectories, "ekf")
+    assert axes.get_aspect() == 1.0
+    assert_array_equal(points(line(axes, "ekf (online)")), floats(ekf, "x_m", "y_m"))
+    assert_array_equal(points(line(axes, "truth")), floats(ekf, "true_x_m", "true_y_m"))
+    crosses = points(line(axes, "true landmark"))
+    assert_array_equal(np.unique(crosses, axis=0), np.unique(LANDMARKS, axis=0))
+    estimated, end = [
+        points(a) for a in with_color(axes.lines, "ekf") if a.get_linestyle() == "None"
+    ]
+    assert_array_equal(estimated, floats(of(landmarks, "ekf"), "x_m", "y_m"))
+    assert_array_equal(end, floats(ekf[-1:], "x_m", "y_m"))
+    assert floats(ekf[:1], "x_m", "y_m") in points(line(axes, "start"))
+
+
+def test_map_shows_the_series_that_knows_most(run, figures):
+    (axes,) = figures["map"].axes
+    smoothed = of(run[0], "gtsam-isam2", "smoothed")
+    assert_array_equal(points(line(axes, "gtsam-isam2")), floats(smoothed, "x_m", "y_m"))
+    assert line(axes, "gtsam-isam2").get_label() == "gtsam-isam2 (smoothed)"
+
+
+def test_map_takes_the_whole_true_map(run):
+    known = np.array([[1.0, 2.0], [3.0, 4.0]])
+    (axes,) = plots.plot_map(*run, known=known).axes
+    assert_array_equal(points(line(axes, "true landmark")), known)
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_map_is_not_squashed_by_a_path_that_drifts_away(run, truth):
+    figure = plots.plot_map(*(run if truth else without_truth(run)))
+    (axes,) = figure.axes
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    shown = [LANDMARKS, *(points(line(axes, name)) for name in ("ekf", "gtsam-isam2", "mine"))]
+    low, high = np.concatenate(shown).min(axis=0), np.concatenate(shown).max(axis=0)
+    assert left < low[0] < high[0] < right < 20
+    assert bottom < low[1] < high[1] < top < 20
+    leaving = [label for label in legend(figure) if "leaves the frame" in label]
+    assert leaving == ["dead-reckoning (online), leaves the frame"]
+
+
+def test_without_truth_the_frame_is_for_those_who_have_mapped_the_world(run):
+    trajectories, landmarks = without_truth([of(run[0], "ekf"), of(run[1], "ekf")])
+    stuck = trajectories.assign(estimator="stuck", x_m=0.0, y_m=0.0)
+    for order in ([stuck, trajectories], [trajectories, stuck]):
+        figure = plots.plot_map(pd.concat(order), landmarks)
+        assert not any("leaves the frame" in label for label in legend(figure))
+
+
+def test_map_leaves_out_what_has_no_ellipse(run, figures):
+    trajectories, landmarks = run
+    whole = figures["map"].axes[0].collections
+    first = landmarks.index[landmarks["estimator"] == "ekf"][0]
+    for column, value in [("cov_xx", np.nan), ("cov_xy", 9.0), ("cov_yy", -1.0), ("x_m", np.inf)]:
+        broken = landmarks.reset_index(drop=True)
+        broken.loc[first, column] = value
+        collections = plots.plot_map(trajectories, broken).axes[0].collections
+        counts = [len(c.get_segments()) for c in collections]
+        assert counts[0] == len(whole[0].get_segments()) - 1
+        assert counts[1:] == [len(c.get_segments()) for c in whole[1:]]
+
+
+# Errors ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("estimator", "series"), SERIES[:3])
+def test_error_panels_show_the_error_within_three_of_its_own_sigmas(
+    run, figures, estimator, series
+):
+    panels = column(figures["errors"], estimator, series)
+    rows = of(run[0], estimator, series)
+    unit = [1.0, 1.0, 180 / np.pi]
+    errors = floats(rows, "error_x_m", "error_y_m", "error_theta_rad") * unit
+    bands = 3 * np.sqrt(floats(rows, "cov_xx", "cov_yy", "cov_tt")) * unit
+    for panel, error, band in zip(panels, errors.T, bands.T, strict=True):
+        (curve,) = [a for a in panel.lines if len(a.get_xdata()) == STEPS]
+        assert_allclose(points(curve), np.column_stack([rows["time_s"], error]), rtol=1e-14)
+        vertices = panel.collections[0].get_paths()[0].vertices
+        for time, height in zip(rows["time_s"], band, strict=True):
+            edges = vertices[vertices[:, 0] == time, 1]
+            assert_allclose([edges.min(), edges.max()], [-height, height], rtol=1e-14)
+
+
+def test_error_rows_have_one_scale_that_drift_does_not_squash(run, figures):
+    figure = figures["errors"]
+    reach = np.abs(floats(of(run[0], "ekf"), "error_x_m")).max()
+    for estimator, series in SERIES:
+        top = column(figure, estimator, series)[0]
+        assert reach < top.get_ylim()[1] < 3
+        assert [text.get_text() for text in top.texts] == (
+            ["leaves the frame"] if estimator == "dead-reckoning" else []
+        )
+
+
+def test_without_truth_the_errors_give_way_to_the_sigmas_that_are_claimed(run):
+    figure = plots.plot_errors(without_truth(run)[0])
+    assert "no truth" in figure.get_suptitle()
+    titles = [axes.get_title() for axes in figure.axes[:2]]
+    position, heading = (figure.axes[titles.index("smoothed") + 2 * row] for row in (0, 1))
+    rows = of(run[0], "gtsam-isam2", "smoothed")
+    sigma = np.sqrt(floats(rows, "cov_xx", "cov_yy").sum(axis=1))
+    assert_allclose(line(position, "gtsam-isam2").get_ydata(), sigma)
+    degrees = np.degrees(np.sqrt(floats(rows, "cov_tt")[:, 0]))
+    assert_allclose(line(heading, "gtsam-isam2").get_ydata(), degrees)
+    assert figure.axes[0].get_ylabel() == "own σ of position [m]"
+    assert figure.axes[2].get_ylabel() == "own σ of heading [deg]"
+
+
+# Consistency and time --------------------------------------------------------------------------
+
+
+def test_nees_is_drawn_against_the_interval_of_one_pose(run, figures):
+    figure = figures["consistency"]
+    (panel,) = [a for a in figure.axes if a.get_title() == "NEES of the pose, online"]
+    assert_array_equal(line(panel, "ekf").get_ydata(), of(run[0], "ekf")["nees"])
+    bounds = [a.get_ydata()[0] for a in panel.lines if a.get_label() == "95 % interval"]
+    assert_allclose(bounds, chi2.ppf([0.025, 0.975], 3))
+    assert "almost one sample" in figure.get_suptitle()
+
+
+def test_nis_is_drawn_against_the_interval_of_each_step(run, figures):
+    figure = figures["consistency"]
+    (panel,) = [a for a in figure.axes if a.get_title().endswith("ekf (online)")]
+    rows = of(run[0], "ekf")
+    time, nis, dof = floats(rows[rows["nis_dof"] > 0], "time_s", "nis", "nis_dof").T
+    assert 0 < len(time) < STEPS  # some steps saw nothing
+    (dots,) = with_color(panel.lines, "ekf")
+    assert_allclose(points(dots), np.column_stack([time, nis / dof]))
+    bounds = [points(a) for a in panel.lines if a.get_label() == "95 % interval"]
+    for bound, tail in zip(bounds, (0.025, 0.975), strict=True):
+        assert_allclose(bound, np.column_stack([time, chi2.ppf(tail, dof) / dof]))
+
+
+def test_without_truth_there_is_nis_alone(run):
+    figure = plots.plot_consistency(without_truth(run)[0])
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles == [f"NIS per degree of freedom, {name} (online)" for name in ("ekf", "mine")]
+    assert "NEES" not in figure.get_suptitle()
+
+
+@pytest.mark.parametrize(("spread", "scale"), [(1.0, "linear"), (1e5, "log")])
+def test_nees_over_decades_has_a_logarithmic_axis(run, spread, scale):
+    table = run[0].assign(nees=np.tile(np.linspace(1.0, 2.0, STEPS), len(SERIES)))
+    table.loc[table["step"] == STEPS - 1, "nees"] *= spread
+    assert plots.plot_consistency(table).axes[0].get_yscale() == scale
+
+
+@pytest.mark.parametrize("shift", [1e-6, 1e4])
+def test_the_interval_stays_in_view_when_the_nees_is_far_from_it(run, shift):
+    panel = plots.plot_consistency(run[0].assign(nees=run[0]["nees"] * shift)).axes[0]
+    bottom, top = panel.get_ylim()
+    low, high = chi2.ppf([0.025, 0.975], 3)
+    assert bottom < low < high < top
+
+
+def test_time_per_step_is_in_microseconds_on_a_logarithmic_axis(run):
+    table = run[0].copy()
+    table.loc[table["step"] == 7, "time_step_s"] = 0.0  # the clock was too coarse
+    (axes,) = plots.plot_times(table).axes
+    expected = of(table, "ekf")["time_step_s"].to_numpy() * 1e6
+    expected[7] = np.nan
+    assert axes.get_yscale() == "log"
+    assert_allclose(line(axes, "ekf").get_ydata(), expected)
+    labels = [str(a.get_label()).partition(":")[0] for a in axes.lines]
+    assert labels == ["ekf", "gtsam-isam2", "mine"]  # one each; dead reckoning has no times
+
+
+# Style -----------------------------------------------------------------------------------------
+
+
+def test_an_estimator_has_one_colour_in_every_figure(figures):
+    for estimator, series in [SERIES[0], SERIES[2], SERIES[4]]:
+        (panel,) = [a for a in figures["consistency"].axes if f"pose, {series}" in a.get_title()]
+        error = column(figures["errors"], estimator, series)[0]
+        colors = {
+            to_hex(line(figures["map"].axes[0], estimator).get_color()),
+            to_hex(error.lines[-1].get_color()),
+            to_hex(error.collections[0].get_facecolor()[0]),
+            to_hex(line(panel, estimator).get_color()),
+            to_hex(line(figures["times"].axes[0], estimator).get_color()),
+        }
+        assert colors == {plots.look(estimator).color.lower()}
+
+
+def test_looks_differ_and_do_not_depend_on_the_process():
+    assert len({look.color for look in LOOKS.values()}) == len(LOOKS)
+    assert len({look.linestyle for look in LOOKS.values()}) == len(LOOKS)
+    # Python's own hash of a string changes from one process to the next.
+    assert plots.look("fastslam") == ("#D55E00", "*", ":")
+    assert plots.look("fej-ekf") == ("#56B4E9", "v", "--")
+    taken = {look.color for look in LOOKS.values()}
+    assert not {plots.look(f"filter-{k}").color for k in range(50)} & taken
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_global_is_touched(run, name):
+    with matplotlib.rc_context({"font.size": 13, "pdf.fonttype": 3}):
+        before = dict(matplotlib.rcParams)
+        figure = draw(name, run)
+        assert dict(matplotlib.rcParams) == before
+    assert pyplot.get_fignums() == []
+    assert figure.axes[0].xaxis.label.get_fontsize() == 8  # the style was in force
+
+
+# Files -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_saving_again_makes_the_same_files(figures, name, tmp_path):
+    first, again = tmp_path / "first", tmp_path / "again"
+    for folder in (first, again):
+        folder.mkdir()
+        paths = plots.save(figures[name], folder, "picture")
+        assert paths == (folder / "picture.png", folder / "picture.pdf")
+        assert sorted(folder.iterdir()) == sorted(paths)
+    content = [path.read_bytes() for path in sorted(first.iterdir())]
+    assert content[0].startswith(b"%PDF")
+    assert b"/FontFile2" in content[0]  # TrueType: text stays text
+    assert b"CreationDate" not in content[0]
+    assert content[1].startswith(b"\x89PNG")
+    assert [path.read_bytes() for path in sorted(again.iterdir())] == content
+
+
+def test_the_figures_of_tables_read_from_csv_are_the_same(run, figures, tmp_path):
+    paths = [tmp_path / "trajectories.csv", tmp_path / "landmarks.csv"]
+    for table, path in zip(run, paths, strict=True):
+        table.to_csv(path, index=False)
+    read = [pd.read_csv(path) for path in paths]  # whole numbers with gaps become floats
+    for name in NAMES:
+        assert draw(name, read)._repr_png_() == figures[name]._repr_png_()
+
+
+def test_saving_to_a_folder_that_is_not_there_is_an_input_error(figures, tmp_path):
+    with pytest.raises(InputError, match="cannot write"):
+        plots.save(figures["times"], tmp_path / "none", "picture")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_notebook_shows_the_figures(figures):
+    assert PNGFormatter()(figures["map"]).startswith(b"\x89PNG")
+
+
+# Tables that are empty, broken or of several runs ----------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_tables_without_rows_make_a_figure_that_says_so(name, tmp_path):
+    empty = [tables.concat(table, []) for table in ("trajectories", "landmarks")]
+    figure = draw(name, empty)
+    plots.save(figure, tmp_path, name)
+    said = figure.get_suptitle() + "".join(text.get_text() for text in figure.texts)
+    assert "no" in said
+    assert "to show" in said
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("value", [np.nan, -1e9, 1e300])
+def test_a_diverged_estimator_does_not_spoil_the_others(run, figures, name, value):
+    broken = []
+    for table in run:
+        numeric = [c for c, dtype in tables.SCHEMAS["trajectories"].items() if dtype == "float64"]
+        hurt = [c for c in numeric if c in table and c != "time_s" and not c.startswith("true")]
+        table = table.reset_index(drop=True)
+        late = table["step"] > 20 if "step" in table else table["landmark"] > 1
+        table.loc[late & (table["estimator"] == "mine"), hurt] = value
+        broken.append(table)
+    figure = draw(name, broken)
+    figure._repr_png_()  # warnings are errors
+    if name in ("map", "errors"):
+        assert_allclose(figure.axes[0].get_xlim(), figures[name].axes[0].get_xlim(), rtol=0.1)
+        assert_allclose(figure.axes[0].get_ylim(), figures[name].axes[0].get_ylim(), rtol=0.1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_estimator_that_is_lost_from_the_start_is_left_out(run, name):
+    lost = []
+    for table in run:
+        real = [c for c in table if table[c].dtype == "float64" and c != "time_s"]
+        table = table.reset_index(drop=True)
+        table.loc[table["estimator"] == "mine", real] = np.nan
+        lost.append(table)
+    figure = draw(name, lost)
+    color = plots.look("mine").color.lower()
+    drawn = [a for axes in figure.axes for a in axes.lines if len(a.get_xdata())]
+    assert color not in {to_hex(a.get_color()) for a in drawn}
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("key", ["dataset", "seed"])
+def test_several_runs_in_one_figure_are_an_input_error(run, name, key):
+    other = "other" if key == "dataset" else 4
+    mixed = [pd.concat([table, table.assign(**{key: other})]) for table in run]
+    with pytest.raises(InputError, match="one dataset, seed and robot"):
+        draw(name, mixed)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_missing_column_is_an_input_error(run, name):
+    lacking = {"map": "x_m", "errors": "cov_tt", "consistency": "nis", "times": "time_step_s"}
+    with pytest.raises(InputError, match=f"no column {lacking[name]}"):
+        draw(name, (run[0].drop(columns=lacking[name]), run[1]))
+    with pytest.raises(InputError, match="no column seed"):
+        draw(name, (run[0].drop(columns="seed"), run[1]))
+
+
+def test_a_run_without_a_seed_has_a_title_without_one(run):
+    recorded = [table.assign(seed=pd.NA) for table in run]
+    assert plots.plot_times(run[0]).get_suptitle() == "ring, seed 3"
+    assert plots.plot_times(recorded[0]).get_suptitle() == "ring"
+    assert plots.plot_map(*recorded).get_suptitle() == "ring: map with 3σ ellipses"
