@@ -20,10 +20,9 @@ def checked_number(value: Any, name: str) -> float:
     InputError
         For anything else.
     """
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} must be a number, got {value!r}") from None
+    if isinstance(value, str) or not hasattr(value, "__float__"):
+        raise InputError(f"{name} must be a number, got {value!r}")
+    return float(value)
 
 
 def checked_array(value: Any, dtype: Any, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
@@ -103,8 +102,10 @@ def is_covariance(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
     They are judged as correlations, so that a large variance does not hide a small negative one.
     """
     variances = np.einsum("nii->ni", matrices)
-    scale = np.sqrt(np.where(variances > 0, variances, 1.0))
+    # A variance of the size of rounding is zero, whatever its sign.
+    floor = ROUNDING**1.5 * np.abs(variances).max(axis=1, initial=0.0, keepdims=True)
+    scale = np.sqrt(np.maximum(variances, np.maximum(floor, np.finfo(float).tiny)))
     correlations = matrices / (scale[:, :, None] * scale[:, None, :])
     lopsided = np.abs(correlations - np.swapaxes(correlations, 1, 2)).max(axis=(1, 2), initial=0.0)
     smallest = np.linalg.eigvalsh(correlations).min(axis=1, initial=np.inf)
-    return (variances >= 0).all(axis=1) & (lopsided <= ROUNDING) & (smallest >= -ROUNDING)
+    return (variances >= -floor).all(axis=1) & (lopsided <= ROUNDING) & (smallest >= -ROUNDING)

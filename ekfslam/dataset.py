@@ -20,7 +20,7 @@ from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import Increments, MotionModel
 from ekfslam.models.sensors import Sensor
-from ekfslam.observations import Observations, Sightings
+from ekfslam.observations import NO_LANDMARK, Observations, Sightings
 from ekfslam.storage import Reader, Writer
 
 FORMAT = "ekfslam-dataset"
@@ -115,7 +115,12 @@ class Robot:
     @cached_property
     def increments(self) -> Increments:
         """Body increments of the whole run with their covariances, computed once."""
-        return self.motion.increments(self.controls)
+        return Increments(*map(_frozen, self.motion.increments(self.controls)))
+
+
+def _frozen(array: np.ndarray) -> np.ndarray:
+    array.flags.writeable = False
+    return array
 
 
 class Step(NamedTuple):
@@ -210,6 +215,12 @@ class Dataset:
         self._check_range(o.robot, len(self.robots), "robot", "robot")
         if o.observed_robot is not None:
             self._check_range(o.observed_robot, len(self.robots), "observed_robot", "robot", -1)
+        below = np.flatnonzero(o.landmark < NO_LANDMARK)
+        if len(below):
+            raise InputError(
+                f"observations.landmark is {o.landmark[below[0]]} in row {below[0]}; "
+                f"{NO_LANDMARK} stands for an unknown identity"
+            )
         back = np.flatnonzero(np.diff(o.step) < 0)
         if len(back):
             raise InputError(f"observations.step goes back at row {back[0] + 1}; sort by step")
@@ -233,9 +244,9 @@ class Dataset:
     def _check_range(column: np.ndarray, count: int, name: str, what: str, least: int = 0) -> None:
         bad = np.flatnonzero((column < least) | (column >= count))
         if len(bad):
+            there = f"there are {count} {what}s" + (f" (0 to {count - 1})" if count else "")
             raise InputError(
-                f"observations.{name} is {column[bad[0]]} in row {bad[0]}, "
-                f"but there are {count} {what}s (0 to {count - 1})"
+                f"observations.{name} is {column[bad[0]]} in row {bad[0]}, but {there}"
             )
 
     def _check_twice(self) -> None:
@@ -307,29 +318,30 @@ class Dataset:
             noise[rows] = sensor.covariances(o.values[rows])
         if o.covariance is not None:
             noise = o.covariance
-        look = np.column_stack([o.step, o.sensor, self.observation_times])
+        look = np.column_stack([o.step, o.robot, o.sensor, self.observation_times])
         changes = (np.diff(look, axis=0) != 0).any(axis=1)
+        first = np.zeros(min(len(o), 1), dtype=np.int64)
         return Sightings(
-            kinds[o.sensor],
-            mounts[o.sensor],
+            _frozen(kinds[o.sensor]),
+            _frozen(mounts[o.sensor]),
             o.values,
-            np.ascontiguousarray(noise),
+            _frozen(np.ascontiguousarray(noise)),
             o.landmark,
-            np.cumsum(np.concatenate([np.zeros(min(len(o), 1), dtype=np.int64), changes])),
+            _frozen(np.cumsum(np.concatenate([first, changes]))),
         )
 
     @cached_property
     def offsets(self) -> np.ndarray:
         """Row of the first observation of each step, (K + 2,): step k has offsets[k:k + 2]."""
-        return np.searchsorted(self.observations.step, np.arange(self.poses + 1))
+        return _frozen(np.searchsorted(self.observations.step, np.arange(self.poses + 1)))
 
     @cached_property
     def moves(self) -> Increments:
         """Increment that leads to each pose, (K + 1, 3): the first one is zero."""
         deltas, covariances = self.robot.increments
         return Increments(
-            np.concatenate([np.zeros((1, 3)), deltas]),
-            np.concatenate([np.zeros((1, 3, 3)), covariances]),
+            _frozen(np.concatenate([np.zeros((1, 3)), deltas])),
+            _frozen(np.concatenate([np.zeros((1, 3, 3)), covariances])),
         )
 
     def steps(self) -> Iterator[Step]:

@@ -97,7 +97,9 @@ class Reader:
             ) from None
         if form != self._form:
             raise FileFormatError(f"{self.path}: holds {form}, not {self._form}")
-        if not isinstance(version, int) or version > self._version:
+        if not isinstance(version, int):
+            raise FileFormatError(f"{self.path}: damaged, {version!r} is no version")
+        if version > self._version:
             raise FileFormatError(
                 f"{self.path}: has format version {version}, newer than {self._version}, "
                 "which this ekfslam reads; update ekfslam"

@@ -15,6 +15,7 @@ import numpy as np
 
 from ekfslam.association.gates import Gates, chi2_gate
 from ekfslam.association.nearest import AMBIGUOUS, nearest_neighbour
+from ekfslam.checks import check_finite, checked_array, checked_covariance
 from ekfslam.compiled import compiled, now
 from ekfslam.dataset import Dataset, Prior, Sightings
 from ekfslam.errors import InputError
@@ -354,7 +355,8 @@ class Ekf:
         steps = dataset.poses
         _warm_up(settings)
         started = time.perf_counter()
-        moves, sightings = dataset.moves, _writable(dataset.sightings)
+        deltas, covariances = (array.copy() for array in dataset.moves)
+        offsets, sightings = dataset.offsets.copy(), _writable(dataset.sightings)
         ids, codes = np.unique(sightings.landmark, return_inverse=True)
         codes = codes - np.searchsorted(ids, 0)  # no identity becomes -1
         ids = ids[ids >= 0]
@@ -368,9 +370,9 @@ class Ekf:
             k, why = run(
                 k,
                 min(k + chunk, steps),
-                moves.deltas,
-                moves.covariances,
-                dataset.offsets,
+                deltas,
+                covariances,
+                offsets,
                 sightings,
                 slam.arrays,
                 register,
@@ -378,7 +380,7 @@ class Ekf:
                 log,
             )
             if why == 1:
-                slam.reserve(slam.size + POINT * int(np.diff(dataset.offsets).max()))
+                slam.reserve(slam.size + POINT * int(np.diff(offsets).max()))
                 register = _grown(register, len(slam.arrays.mean))
             elif progress is not None:
                 progress(k, steps)
@@ -451,12 +453,16 @@ class EkfSlam:
             Body increment in the frame of the pose before [m, m, rad].
         covariance : (3, 3) array_like
             Of the increment, in that frame.
+
+        Raises
+        ------
+        InputError
+            For values that are not finite, or no covariance.
         """
-        predict(
-            self._slam.arrays,
-            np.array(increment, dtype=float),
-            np.array(covariance, dtype=float),
-        )
+        delta = checked_array(increment, float, (3,), "increment")
+        check_finite(delta, "increment")
+        Q = checked_covariance(covariance, 3, "covariance of the increment")
+        predict(self._slam.arrays, delta, Q)
 
     def observe(self, observations: Sightings) -> Innovations:
         """Associate, correct and extend with the observations of one step.

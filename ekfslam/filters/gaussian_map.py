@@ -170,7 +170,7 @@ class GaussianMap:
             Of the landmark in the state.
         """
         n = self.size
-        if not POSE <= offset <= n - POINT:
+        if not POSE <= offset <= n - POINT or (offset - POSE) % POINT:
             raise InputError(f"there is no landmark at offset {offset} of a state of {n}")
         mean, P, size = self.arrays
         kernels.remove(mean, P, n, offset, POINT)

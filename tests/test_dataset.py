@@ -1,0 +1,423 @@
+"""The dataset: what it refuses, what it derives, and that nothing in it changes."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, fields, replace
+
+import numpy as np
+import pytest
+from numerics import assert_same_record, subtract_last_angle
+from numpy.testing import assert_allclose, assert_array_equal
+
+from ekfslam import geometry as geo
+from ekfslam.dataset import Dataset, LandmarkMap, Prior, Robot
+from ekfslam.errors import InputError, UnsupportedError
+from ekfslam.models.motion import MotionModel
+from ekfslam.models.sensors import Sensor
+from ekfslam.observations import Observations, Sightings
+
+NOISE = np.diag([0.01, 0.0004])
+MOTION = MotionModel("odometry", covariance=1e-4 * np.eye(3))
+
+
+def make(times=(0.0, 1.0, 2.0), sensors=None, robots=None, **columns):
+    """Two steps straight ahead and one sighting, unless told otherwise."""
+    steps = len(times) - 1
+    robot = Robot(MOTION, np.tile([1.0, 0.0, 0.0], (steps, 1)))
+    columns = {"step": [1], "values": [[2.0, 0.1]], **columns}
+    return Dataset(
+        "made",
+        (robot,) if robots is None else robots,
+        times,
+        (Sensor("range-bearing", NOISE, name="laser"),) if sensors is None else sensors,
+        Observations(**columns),
+    )
+
+
+def twice(**columns):
+    """Two sightings of landmark 4."""
+    return make(
+        **{"step": [1, 1], "values": [[2.0, 0.1], [2.1, 0.2]], "landmark": [4, 4]} | columns
+    )
+
+
+def assert_refused(message, build, *arguments, **settings):
+    with pytest.raises(InputError, match=message) as caught:
+        build(*arguments, **settings)
+    assert "\n" not in str(caught.value)
+
+
+# What is refused -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite(bad):
+    assert_refused("observations.values .* row 1", make, step=[0, 1], values=[[1, 0], [bad, 0]])
+    assert_refused("observations.time .* row 0", make, time=[bad])
+    assert_refused("observations.covariance .* row 0", make, covariance=[[[1, bad], [bad, 1]]])
+    assert_refused("times .* row 2", make, times=[0.0, 1.0, bad])
+    assert_refused("controls of r .* row 1", Robot, MOTION, [[0, 0, 0], [0, bad, 0]], name="r")
+    truth = [[0.0, 0.0, 0.0], [0.0, bad, 0.0]]
+    assert_refused("truth of r .* row 1", Robot, MOTION, [[0, 0, 0]], truth=truth, name="r")
+    assert_refused("prior mean", Prior, [0.0, bad, 0.0])
+    assert_refused("prior covariance", Prior, np.zeros(3), np.diag([1.0, bad, 1.0]))
+    assert_refused("landmark positions .* row 1", LandmarkMap, [1, 2], [[0, 0], [bad, 0]])
+    sensor = Sensor("xy", NOISE)
+    assert_refused("values .* row 0", Sightings.of, sensor, [[bad, 0.0]])
+
+
+@pytest.mark.parametrize(
+    "covariance", [[[1.0, 2.0], [2.0, 1.0]], [[-1e-6, 0.0], [0.0, 1.0]], [[1.0, 0.5], [0.0, 1.0]]]
+)
+def test_covariances_of_rows_that_are_not_positive_semi_definite(covariance):
+    assert_refused(
+        "observations.covariance of row 1 is not positive semi-definite",
+        make,
+        step=[0, 1],
+        values=[[1, 0], [1, 0]],
+        covariance=[NOISE, covariance],
+    )
+
+
+def test_prior_covariance_that_is_not_positive_semi_definite():
+    assert_refused("prior covariance", Prior, np.zeros(3), np.diag([1.0, -1.0, 1.0]))
+    assert_refused("prior covariance", Prior, np.zeros(3), np.eye(2))
+
+
+def test_singular_covariances_are_taken():
+    assert make(covariance=[np.zeros((2, 2))]).observations.covariance.any() == np.False_
+    assert not Prior().covariance.any()
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("step", 3, r"observations.step is 3 in row 1, but there are 3 poses \(0 to 2\)"),
+        ("step", -1, "observations.step is -1"),
+        ("sensor", 1, "observations.sensor is 1 in row 1, but there are 1 sensors"),
+        ("sensor", -1, "observations.sensor is -1"),
+        ("robot", 1, "observations.robot is 1 in row 1, but there are 1 robots"),
+        ("observed_robot", 1, "observations.observed_robot is 1 in row 1"),
+    ],
+)
+def test_indices_of_what_does_not_exist(column, value, message):
+    columns = {"step": [0, 1], "values": [[1, 0], [2, 0]], column: [0, value]}
+    if column == "observed_robot":
+        columns[column] = [-1, value]
+    assert_refused(message, make, **columns)
+
+
+def test_the_last_pose_has_observations_too():
+    assert len(make(step=[2]).observations) == 1
+
+
+@pytest.mark.parametrize("times", [[0.0, 1.0, 1.0], [0.0, 2.0, 1.0]])
+def test_times_that_do_not_increase(times):
+    assert_refused(r"times must increase: times\[2\]", make, times=times)
+
+
+def test_times_and_controls_that_do_not_match():
+    robot = Robot(MOTION, np.zeros((5, 3)), name="rover")
+    assert_refused("5 controls of rover make 6 poses, but there are 3 times", make, robots=(robot,))
+
+
+def test_observations_out_of_order():
+    assert_refused("goes back at row 1", make, step=[1, 0], values=[[1, 0], [1, 0]])
+
+
+def test_negative_range():
+    assert_refused(
+        r"negative range -0.5 in row 1 of the observations of laser",
+        make,
+        step=[0, 1],
+        values=[[1.0, 0.0], [-0.5, 0.0]],
+    )
+
+
+def test_a_negative_coordinate_is_no_range():
+    sensors = (Sensor("range-bearing", NOISE), Sensor("xy", NOISE))
+    data = make(sensors=sensors, sensor=[1], values=[[-0.5, -1.0]])
+    assert_array_equal(data.observations.values, [[-0.5, -1.0]])
+
+
+def test_same_landmark_twice_at_the_same_instant():
+    assert_refused("landmark 4 is observed twice .* sensor laser .step 1", twice)
+    assert_refused("landmark 4 is observed twice", twice, time=[1.5, 1.5])
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"time": [1.0, 1.5]},
+        {"step": [0, 1]},
+        {"landmark": [4, 5]},
+        {"landmark": [-1, -1]},
+        {"landmark": [2**53, 2**53 + 1]},
+    ],
+    ids=["other time", "other step", "other landmark", "no identity", "huge identities"],
+)
+def test_what_is_not_twice(columns):
+    assert len(twice(**columns).observations) == 2
+
+
+def test_two_sensors_may_see_the_same_landmark_at_once():
+    sensors = (Sensor("range-bearing", NOISE, name="a"), Sensor("range-bearing", NOISE, name="b"))
+    assert len(twice(sensors=sensors, sensor=[0, 1]).observations) == 2
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"values": [1.0, 2.0]}, r"observations.values must have shape \(1, 2\), got \(2,\)"),
+        ({"values": [[1.0, 2.0, 3.0]]}, "observations.values must have shape"),
+        ({"step": [[1]]}, "observations.step must have shape"),
+        ({"landmark": [1, 2]}, "observations.landmark must have shape"),
+        ({"covariance": [[1.0, 2.0]]}, "observations.covariance must have shape"),
+        ({"time": [0.0, 1.0]}, "observations.time must have shape"),
+        ({"descriptor": [1.0, 2.0]}, "observations.descriptor must have shape"),
+        ({"values": [["far", "left"]]}, "observations.values cannot be read as numbers"),
+        ({"step": [None]}, "observations.step cannot be read as numbers"),
+        ({"step": [np.nan]}, "observations.step"),
+    ],
+)
+def test_columns_of_the_wrong_shape_or_type(columns, message):
+    assert_refused(message, make, **columns)
+
+
+@pytest.mark.parametrize("column", ["step", "landmark", "sensor", "robot", "observed_robot"])
+@pytest.mark.parametrize("value", [0.7, 10**30])
+def test_whole_numbers_are_not_rounded(column, value):
+    assert_refused(f"observations.{column}", make, **{column: [value]})
+
+
+def test_shapes_of_the_other_parts():
+    assert_refused("landmark positions must have shape", LandmarkMap, [1, 2], [[0.0, 0.0]])
+    assert_refused("distinct", LandmarkMap, [1, 1], np.zeros((2, 2)))
+    assert_refused("not negative", LandmarkMap, [-1, 1], np.zeros((2, 2)))
+    assert_refused("landmark ids", LandmarkMap, [0.5], np.zeros((1, 2)))
+    assert_refused("prior mean must have shape", Prior, [0.0, 0.0])
+    assert_refused("controls of robot must have shape", Robot, MOTION, np.zeros((2, 2)))
+    assert_refused(
+        r"truth of robot must have shape \(3, 3\)", Robot, MOTION, np.zeros((2, 3)), truth=np.eye(2)
+    )
+    assert_refused("true_landmark must have shape", replace, make(), true_landmark=[1, 2])
+    assert_refused("at least one robot", make, robots=())
+
+
+def test_an_observation_without_a_sensor():
+    assert_refused("observations.sensor is 0 in row 0", make, sensors=())
+
+
+def test_a_dataset_may_hold_no_observations():
+    data = make(step=[], values=np.zeros((0, 2)))
+    assert len(data.sightings.values) == 0
+    assert [len(step.observations.values) for step in data.steps()] == [0, 0, 0]
+
+
+# What it derives -------------------------------------------------------------------------------
+
+
+def test_defaults_of_the_columns():
+    observations = make(step=[0, 2], values=[[1, 0], [2, 0]]).observations
+    assert_array_equal(observations.landmark, [-1, -1])
+    assert_array_equal(observations.sensor, [0, 0])
+    assert_array_equal(observations.robot, [0, 0])
+    for name in ("time", "covariance", "observed_robot", "descriptor"):
+        assert getattr(observations, name) is None
+
+
+def test_observation_times_are_those_of_the_steps_unless_given():
+    times = [0.0, 0.4, 1.5]
+    assert_array_equal(
+        make(times=times, step=[1, 2], values=[[1, 0]] * 2).observation_times, [0.4, 1.5]
+    )
+    assert_array_equal(make(times=times, time=[0.45]).observation_times, [0.45])
+
+
+def test_association_is_known_when_every_row_has_an_identity():
+    assert make(landmark=[0]).association_known
+    assert not make().association_known
+    assert not twice(landmark=[4, -1]).association_known
+
+
+def test_sightings_look_up_the_sensor_of_each_row():
+    growing = Sensor("range-bearing", NOISE, mount=[0.1, 0.2, 0.3], range_growth=0.1)
+    camera = Sensor("xy", 4 * NOISE, mount=[-0.1, 0.0, 3.0])
+    columns = {
+        "step": [0, 1, 1],
+        "values": [[2.0, 0.1], [3.0, -4.0], [5.0, 0.2]],
+        "sensor": [0, 1, 0],
+        "landmark": [5, -1, 6],
+    }
+    sightings = make(sensors=(growing, camera), **columns).sightings
+    assert_array_equal(sightings.kind, [growing.view.code, camera.view.code, growing.view.code])
+    assert_array_equal(sightings.mount, [growing.mount, camera.mount, growing.mount])
+    assert_array_equal(sightings.landmark, [5, -1, 6])
+    expected = [NOISE + np.diag([0.04, 0]), 4 * NOISE, NOISE + np.diag([0.25, 0])]
+    assert_allclose(sightings.covariance, expected, rtol=1e-15)
+
+
+def test_covariance_of_a_row_goes_before_that_of_its_sensor():
+    given = [[[2.0, 0.5], [0.5, 3.0]]]
+    assert_array_equal(make(covariance=given).sightings.covariance, given)
+
+
+def test_sightings_of_one_sensor_are_those_of_a_dataset():
+    sensor = Sensor("range-bearing", NOISE, mount=[0.1, 0.2, 0.3], range_growth=0.1)
+    values, landmark = [[2.0, 0.1], [5.0, 0.2]], [8, 9]
+    data = make(sensors=(sensor,), step=[1, 1], values=values, landmark=landmark)
+    alone = Sightings.of(sensor, values, landmark)
+    for mine, theirs in zip(alone, data.sightings, strict=True):
+        assert mine.dtype == theirs.dtype
+        assert_array_equal(mine, theirs)
+    assert_array_equal(Sightings.of(sensor, values).landmark, [-1, -1])
+    assert_refused("values must have shape", Sightings.of, sensor, [1.0, 2.0])
+    assert_refused("landmark must have shape", Sightings.of, sensor, values, [1])
+
+
+def test_a_look_is_what_one_sensor_sees_at_one_instant():
+    sensors = (Sensor("xy", NOISE, name="left"), Sensor("xy", NOISE, name="right"))
+    columns = {
+        "step": [0, 0, 0, 1, 1, 1],
+        "values": np.ones((6, 2)),
+        "sensor": [0, 0, 1, 1, 1, 1],
+        "time": [0.0, 0.0, 0.0, 1.0, 1.5, 1.5],
+    }
+    look = make(sensors=sensors, **columns).sightings.look
+    # A new look begins with another sensor, another step, another time.
+    assert_array_equal(np.diff(look) != 0, [False, True, True, True, False])
+
+
+def test_steps_are_the_columns(full_dataset):
+    steps = list(full_dataset.steps())
+    robot, observations = full_dataset.robot, full_dataset.observations
+    assert len(steps) == full_dataset.poses == len(robot.controls) + 1
+    assert not steps[0].increment.any()
+    assert not steps[0].covariance.any()
+    assert_array_equal([step.increment for step in steps[1:]], robot.increments.deltas)
+    assert_array_equal([step.covariance for step in steps[1:]], robot.increments.covariances)
+    rows = np.repeat(np.arange(len(steps)), [len(step.observations.values) for step in steps])
+    assert_array_equal(rows, observations.step)
+    for column, whole in zip(
+        zip(*(step.observations for step in steps), strict=True),
+        full_dataset.sightings,
+        strict=True,
+    ):
+        assert_array_equal(np.concatenate(column), whole)
+
+
+def test_increments_are_those_of_the_motion_model(wheels):
+    expected = wheels.motion.increments(wheels.controls)
+    assert_array_equal(wheels.increments.deltas, expected.deltas)
+    assert_array_equal(wheels.increments.covariances, expected.covariances)
+
+
+def test_several_robots_are_held_but_not_estimated(wheels):
+    data = Dataset(
+        "pair",
+        (wheels, replace(wheels, name="other")),
+        np.arange(5.0),
+        (Sensor("range-bearing", NOISE),),
+        Observations([0, 0], [[1, 0], [1, 0]], robot=[0, 1], landmark=[3, 3]),
+    )
+    assert len(data.observations) == 2
+    with pytest.raises(UnsupportedError, match="pair has 2 robots"):
+        _ = data.robot
+
+
+def test_robots_that_see_robots_are_held_but_not_estimated():
+    data = make(observed_robot=[0])
+    with pytest.raises(UnsupportedError, match="robots that see robots"):
+        _ = data.sightings
+    assert len(make(observed_robot=[-1]).sightings.values) == 1
+
+
+# Rigid motion ----------------------------------------------------------------------------------
+
+
+def assert_same_world(one, other):
+    for mine, theirs in zip(one.robots, other.robots, strict=True):
+        assert_allclose(subtract_last_angle(mine.truth, theirs.truth), 0, atol=1e-12)
+        assert_allclose(subtract_last_angle(mine.prior.mean, theirs.prior.mean), 0, atol=1e-12)
+        assert_allclose(mine.prior.covariance, theirs.prior.covariance, atol=1e-15)
+    for name in ("known_map", "true_map"):
+        mine, theirs = getattr(one, name), getattr(other, name)
+        assert_array_equal(mine.ids, theirs.ids)
+        assert_allclose(mine.positions, theirs.positions, atol=1e-12)
+
+
+def test_moved_is_a_group_action(full_dataset):
+    g, h = np.array([50.0, -30.0, 2.0]), np.array([-7.0, 1.0, -1.3])
+    assert_same_world(full_dataset.moved(g).moved(h), full_dataset.moved(geo.compose(h, g)))
+    assert_same_world(full_dataset.moved(g).moved(geo.inverse(g)), full_dataset)
+    assert_same_world(full_dataset.moved(np.zeros(3)), full_dataset)
+
+
+def test_moved_moves_the_world_and_not_what_the_robot_felt(full_dataset):
+    g = np.array([50.0, -30.0, 2.0])
+    moved = full_dataset.moved(g)
+    assert_allclose(moved.truth, geo.compose(g, full_dataset.truth), atol=1e-12)
+    positions = geo.from_frame(g, full_dataset.true_map.positions)
+    assert_allclose(moved.true_map.positions, positions, atol=1e-12)
+    assert_same_record(moved.observations, full_dataset.observations)
+    assert_same_record(moved.robot.controls, full_dataset.robot.controls)
+    assert_same_record(moved.sensors, full_dataset.sensors)
+
+
+def test_moved_turns_the_prior_covariance():
+    """A prior that is long in x becomes long in y after a quarter turn."""
+    prior = Prior(np.zeros(3), np.diag([4.0, 1.0, 0.1]))
+    data = make(robots=(Robot(MOTION, np.zeros((2, 3)), prior),))
+    turned = data.moved([0.0, 0.0, np.pi / 2]).prior.covariance
+    assert_allclose(turned, np.diag([1.0, 4.0, 0.1]), atol=1e-15)
+
+
+def test_moved_takes_a_singular_prior():
+    """Known across a diagonal and unknown along it, then turned until it lies along an axis."""
+    prior = Prior(np.zeros(3), [[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    data = make(robots=(Robot(MOTION, np.zeros((2, 3)), prior),))
+    for angle in np.pi / 4 * np.arange(-4, 4):
+        turned = data.moved([0.0, 0.0, angle]).prior.covariance
+        assert_allclose(np.linalg.eigvalsh(turned), [0, 0, 2], atol=1e-15)
+
+
+def test_moved_keeps_what_is_unknown_unknown():
+    moved = make().moved([1.0, 2.0, 3.0])
+    assert moved.truth is None
+    assert moved.known_map is None
+    assert moved.true_map is None
+
+
+# Immutability ----------------------------------------------------------------------------------
+
+
+def arrays_of(record):
+    for entry in fields(record):
+        value = getattr(record, entry.name)
+        if isinstance(value, np.ndarray):
+            yield entry.name, value
+
+
+def test_arrays_are_read_only(full_dataset):
+    robot = full_dataset.robot
+    records = [full_dataset, robot, robot.prior, full_dataset.observations, full_dataset.true_map]
+    found = [pair for record in records for pair in arrays_of(record)]
+    assert len(found) == 2 + 2 + 2 + 9 + 2
+    for name, array in found:
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+        assert not array.flags.writeable, name
+
+
+def test_arrays_are_copies():
+    times, controls = np.arange(3.0), np.zeros((2, 3))
+    data = make(times=times, robots=(Robot(MOTION, controls),))
+    times[1] = controls[0, 0] = 99.0
+    assert data.times[1] == 1.0
+    assert data.robot.controls[0, 0] == 0.0
+
+
+def test_attributes_cannot_be_set(full_dataset):
+    for record in (full_dataset, full_dataset.robot, full_dataset.prior, full_dataset.observations):
+        with pytest.raises(FrozenInstanceError):
+            setattr(record, fields(record)[0].name, None)
