@@ -1,0 +1,446 @@
+"""GTSAM's smoothers against a dense Gauss-Newton on the same problem, and against each other."""
+
+from dataclasses import replace
+from functools import cache
+
+import gtsam
+import numpy as np
+import pytest
+from numerics import central_difference
+
+from baselines.batch import GtsamBatch
+from baselines.dead_reckoning import DeadReckoning
+from baselines.isam2 import GtsamIsam2
+from baselines.landmark_graph import Association, LandmarkGraph
+from ekfslam import geometry as geo
+from ekfslam.dataset import LandmarkMap, Observations, Prior
+from ekfslam.errors import UnsupportedError
+from ekfslam.estimate import (
+    FAILED,
+    OK,
+    Decision,
+    Estimate,
+    Innovations,
+    LandmarkEstimates,
+    Trajectory,
+)
+from ekfslam.filters.ekf_slam import Ekf
+from ekfslam.models.motion import MotionModel
+from ekfslam.models.sensors import Sensor
+from ekfslam.simulation import Scenario, load_scenario, simulate
+
+# A small problem that is hard on frames -----------------------------------------------------------
+
+START = Prior([0.5, -0.5, 2.5], [[0.09, 0.01, 0.02], [0.01, 0.01, 0], [0.02, 0, 0.04]])
+INCREMENT = np.array([[9e-3, 2e-3, 4e-4], [2e-3, 1e-3, -2e-4], [4e-4, -2e-4, 1e-3]])
+
+
+def scanner(*mount):
+    return Sensor("range-bearing", [[0.01, 0.001], [0.001, 0.0004]], mount=mount or np.zeros(3))
+
+
+def camera(*mount):
+    return Sensor("xy", [[0.04, 0.01], [0.01, 0.02]], mount=mount or np.zeros(3))
+
+
+SENSORS = {
+    "scanner": (scanner(),),
+    "scanner turned": (scanner(0, 0, 1.0),),
+    "scanner displaced": (scanner(0.4, -0.2, 1.0),),
+    "two scanners displaced": (scanner(0.4, -0.2, 1.0), scanner(-0.3, 0.1, -2.0)),
+    "one turned, one displaced": (scanner(0, 0, 1.0), scanner(-0.3, 0.1, -2.0)),
+    "camera": (camera(),),
+    "camera turned": (camera(0, 0, 1.0),),
+    "camera displaced": (camera(0.4, -0.2, 1.0),),
+    "two cameras": (camera(0.4, -0.2, 1.0), camera(-0.3, 0.1, -2.0)),
+}
+
+
+def small(sensors, prior=START):
+    """Ten poses with large turns, anisotropic correlated noise, five landmarks always in view."""
+    return simulate(
+        Scenario(
+            name="small",
+            landmarks=LandmarkMap([3, 5, 8, 13, 21], [[2, 3], [4, -1], [-2, 2], [1, -3], [5, 2]]),
+            start=START.mean,
+            controls=np.column_stack([np.full((9, 2), [0.8, 0.2]), np.resize([1.2, -0.8, 0.9], 9)]),
+            motion=MotionModel("odometry", covariance=INCREMENT),
+            sensors=sensors,
+            prior=prior,
+            draw_prior=True,
+            observe_start=True,
+        ),
+        seed=0,
+    )
+
+
+class DenseSmoother:
+    """Least squares over all poses and landmarks, additive in (x, y, theta) and (x, y).
+
+    Errors of pose and motion are those of gtsam, ``Log(measured^-1 actual)``, with the covariance
+    of the additive error turned into that frame; they agree with additive errors to first order.
+    """
+
+    def __init__(self, dataset):
+        self.dataset = dataset
+        self.ids, self.landmark = np.unique(dataset.observations.landmark, return_inverse=True)
+
+    def residuals(self, x):
+        """Whitened residuals, (rows,)."""
+        dataset, observations = self.dataset, self.dataset.observations
+        poses = x[: 3 * dataset.poses].reshape(-1, 3)
+        points = x[3 * dataset.poses :].reshape(-1, 2)
+        deltas, noise = dataset.robot.increments
+        moved = geo.log(geo.between(deltas, geo.between(poses[:-1], poses[1:])))
+        parts = [_whitened(geo.additive_to_body(deltas, noise), moved)]
+        if (prior := dataset.prior).covariance.any():
+            off = geo.log(geo.between(prior.mean, poses[0]))
+            parts.append(_whitened(geo.additive_to_body(prior.mean, prior.covariance), off))
+        for index, sensor in enumerate(dataset.sensors):
+            rows = observations.sensor == index
+            expected = sensor.observe(poses[observations.step[rows]], points[self.landmark[rows]])
+            values = observations.values[rows]
+            error = sensor.difference(expected[0], values)
+            parts.append(_whitened(sensor.covariances(values), error))
+        return np.concatenate(parts)
+
+    def solve(self, x):
+        """Minimum near x, and covariance there; an exactly known start stays where it is."""
+        free = np.arange(0 if self.dataset.prior.covariance.any() else 3, len(x))
+        x = x.copy()
+
+        def at(step):
+            moved = x.copy()
+            moved[free] += step
+            return self.residuals(moved)
+
+        for _ in range(10):
+            J = central_difference(at, np.zeros(len(free)), step=0.01)
+            step = -np.linalg.lstsq(J, self.residuals(x), rcond=None)[0]
+            x[free] += step
+            if np.abs(step).max() < 1e-8:
+                break
+        covariance = np.zeros((len(x), len(x)))
+        covariance[np.ix_(free, free)] = np.linalg.inv(J.T @ J)
+        return x, covariance
+
+
+def _whitened(covariance, error):
+    return np.linalg.solve(np.linalg.cholesky(covariance), error[..., None]).reshape(-1)
+
+
+def stacked(estimate):
+    """Poses and landmarks of a smoother as one vector."""
+    return np.concatenate([estimate.smoothed.poses.ravel(), estimate.landmarks.positions.ravel()])
+
+
+def diagonal_blocks(covariance, start, count, size):
+    at = start + size * np.arange(count)[:, None] + np.arange(size)
+    return covariance[at[:, :, None], at[:, None, :]]
+
+
+def assert_solves(estimate, dataset):
+    """The estimate is the dense optimum, its covariances the inverse of the dense information."""
+    assert estimate.status == OK
+    x, covariance = DenseSmoother(dataset).solve(stacked(estimate))
+    np.testing.assert_allclose(stacked(estimate), x, rtol=0, atol=1e-7)
+    count = dataset.poses
+    poses = diagonal_blocks(covariance, 0, count, 3)
+    points = diagonal_blocks(covariance, 3 * count, len(estimate.landmarks), 2)
+    for actual, expected in (
+        (estimate.smoothed.covariances, poses),
+        (estimate.landmarks.covariances, points),
+    ):
+        np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+
+
+# The graph ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("prior", [START, Prior(START.mean)], ids=["prior", "known start"])
+@pytest.mark.parametrize("name", SENSORS)
+def test_the_error_of_the_graph_is_ours_wherever_it_is_evaluated(name, prior, rng):
+    dataset = small(SENSORS[name], prior)
+    problem = LandmarkGraph(dataset, Association.known(dataset))
+    graph, dense = problem.graph(), DenseSmoother(dataset)
+    assert problem.landmarks.tolist() == dense.ids.tolist() == [3, 5, 8, 13, 21]
+    for _ in range(5):
+        poses = dataset.truth + rng.normal(size=(10, 3)) * [0.5, 0.5, 0.3]
+        if not prior.covariance.any():
+            poses[0] = prior.mean
+        points = dataset.true_map.positions + rng.normal(size=(5, 2))
+        there = LandmarkEstimates(dataset.true_map.ids, points)
+        values = problem.values(Estimate("", "", smoothed=Trajectory(poses), landmarks=there))
+        residuals = dense.residuals(np.concatenate([poses.ravel(), points.ravel()]))
+        assert graph.error(values) == pytest.approx(0.5 * residuals @ residuals, rel=1e-10)
+    exact = 0 if prior.covariance.any() else 3  # a known start is no unknown
+    assert problem.dof == len(residuals) - (3 * 10 + 2 * 5 - exact)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_batch_is_the_dense_optimum_with_its_covariances(name):
+    dataset = small(SENSORS[name])
+    assert_solves(GtsamBatch(relative_tolerance=1e-15).estimate(dataset), dataset)
+
+
+@pytest.mark.parametrize("name", ["two scanners displaced", "two cameras"])
+def test_a_known_start_stays_known(name):
+    dataset = small(SENSORS[name], Prior(START.mean))
+    estimate = GtsamBatch(relative_tolerance=1e-15).estimate(dataset)
+    assert_solves(estimate, dataset)
+    np.testing.assert_allclose(estimate.smoothed.poses[0], START.mean, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(estimate.smoothed.covariances[0], 0, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["two scanners displaced", "camera displaced"])
+def test_isam2_that_always_relinearises_is_the_dense_optimum(name):
+    dataset = small(SENSORS[name])
+    eager = GtsamIsam2(relinearize_threshold=1e-9, relinearize_skip=1, final_updates=10)
+    assert_solves(eager.estimate(dataset), dataset)
+
+
+def test_noise_given_with_each_sighting_is_used():
+    dataset = small((scanner(),))
+    rows = len(dataset.observations)
+    growing = np.linspace(0.5, 2.0, rows)[:, None, None] * dataset.sensors[0].covariance
+    given = replace(dataset, observations=replace(dataset.observations, covariance=growing))
+    problem = LandmarkGraph(given, Association.known(given))
+    truth = LandmarkEstimates(dataset.true_map.ids, dataset.true_map.positions)
+    values = problem.values(Estimate("", "", smoothed=Trajectory(dataset.truth), landmarks=truth))
+    bearing_range = [f for k in range(10) for f in problem.step(k)[1:]]
+    x = np.concatenate([dataset.truth.ravel(), dataset.true_map.positions.ravel()])
+    whitened = DenseSmoother(dataset).residuals(x)[-2 * rows :].reshape(-1, 2)
+    errors = np.sum(whitened**2, axis=1) / growing[:, 0, 0] * dataset.sensors[0].covariance[0, 0]
+    np.testing.assert_allclose([f.error(values) for f in bearing_range], errors / 2, rtol=1e-10)
+
+
+def test_scanners_and_cameras_in_one_graph_are_not_supported():
+    with pytest.raises(UnsupportedError, match="mix range-bearing and xy"):
+        GtsamBatch().estimate(small((scanner(), camera())))
+
+
+# At the optimum -----------------------------------------------------------------------------------
+
+
+@cache
+def drawn(name, **options):
+    return simulate(name, seed=1, **options)
+
+
+@pytest.mark.parametrize("name", ["cloister", "park"])
+def test_the_residual_is_what_the_noise_says(name):
+    """2 error / dof is 1 within its sampling error sqrt(2 / dof)."""
+    estimate = GtsamBatch(marginals=False).estimate(drawn(name))
+    ratio = 2 * estimate.graph_error / estimate.graph_dof
+    assert abs(ratio - 1) < 4 * np.sqrt(2 / estimate.graph_dof)
+
+
+def test_batch_reaches_the_same_optimum_from_either_start():
+    dataset = drawn("loop-15")
+    one = GtsamBatch(marginals=False).estimate(dataset)
+    other = GtsamBatch(initial=GtsamIsam2(marginals=False), marginals=False).estimate(dataset)
+    assert other.graph_error == pytest.approx(one.graph_error, rel=1e-9)
+    np.testing.assert_allclose(stacked(other), stacked(one), rtol=0, atol=1e-5)
+    assert "from ekf" in one.message
+    assert "from gtsam-isam2" in other.message
+    given = GtsamBatch(initial=Ekf().estimate(dataset), marginals=False).estimate(dataset)
+    np.testing.assert_array_equal(stacked(given), stacked(one))
+
+
+def test_the_gap_between_filter_and_batch_is_of_second_order():
+    gaps, scales = [], (1.0, 0.5, 0.25, 0.125)
+    for scale in scales:
+        dataset = drawn("cloister", noise=scale)
+        ekf, batch = (e.estimate(dataset) for e in (Ekf(), GtsamBatch(marginals=False)))
+        final = ekf.online.poses[-1] - batch.smoothed.poses[-1]
+        points = ekf.landmarks.positions - batch.landmarks.positions
+        gaps.append(np.sqrt(np.mean(np.concatenate([final[:2], points.ravel()]) ** 2)))
+    exponent = np.polyfit(np.log(scales), np.log(gaps), 1)[0]
+    assert 1.8 < exponent < 2.2
+
+
+def test_filter_and_batch_are_equally_sure_where_the_noise_is_small():
+    dataset = drawn("cloister", noise=0.125)
+    ekf, batch = Ekf().estimate(dataset), GtsamBatch().estimate(dataset)
+    for ours, theirs in (
+        (ekf.online.covariances[-1], batch.smoothed.covariances[-1]),
+        (ekf.landmarks.covariances, batch.landmarks.covariances),
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=0.02 * np.abs(theirs).max())
+
+
+def test_a_floor_is_put_under_singular_noise_and_told():
+    loop = GtsamBatch(marginals=False).estimate(drawn("loop-15"))
+    assert "odometry noise floored at 0.0001 (m, rad) in 400 of 400 steps" in loop.message
+    assert "floored" not in GtsamBatch(marginals=False).estimate(drawn("cloister")).message
+    unsure = small((scanner(),), Prior(START.mean, np.diag([0, 0, 0.04])))
+    assert "prior noise floored" in GtsamBatch(marginals=False).estimate(unsure).message
+
+
+# iSAM2 step by step -------------------------------------------------------------------------------
+
+
+def first_poses(dataset, count):
+    """The beginning of a dataset with one sensor."""
+    o, robot = dataset.observations, dataset.robot
+    rows = o.step < count
+    return replace(
+        dataset,
+        robots=(replace(robot, controls=robot.controls[: count - 1], truth=robot.truth[:count]),),
+        times=dataset.times[:count],
+        observations=Observations(o.step[rows], o.values[rows], o.landmark[rows]),
+        true_landmark=dataset.true_landmark[rows],
+    )
+
+
+def test_the_online_series_of_isam2_knows_nothing_of_the_future():
+    dataset = drawn("cloister")
+    whole, part = (GtsamIsam2().estimate(d) for d in (dataset, first_poses(dataset, 41)))
+    np.testing.assert_allclose(part.online.poses, whole.online.poses[:41], rtol=0, atol=1e-12)
+    error = part.online.covariances - whole.online.covariances[:41]
+    np.testing.assert_allclose(error, 0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(whole.online.poses[-1], whole.smoothed.poses[-1], rtol=0, atol=1e-12)
+    assert np.abs(whole.online.poses[40] - whole.smoothed.poses[40]).max() > 1e-4
+    batch = GtsamBatch(marginals=False).estimate(dataset)
+    np.testing.assert_allclose(stacked(whole), stacked(batch), rtol=0, atol=0.05)
+
+
+def test_the_options_of_isam2_reach_it():
+    dataset = drawn("cloister")
+    errors = [
+        GtsamIsam2(marginals=False, **options).estimate(dataset).graph_error
+        for options in (
+            {"relinearize_threshold": 10.0},
+            {},
+            {"relinearize_skip": 1},
+            {"relinearize_threshold": 1e-4, "relinearize_skip": 1, "final_updates": 5},
+        )
+    ]
+    assert errors == sorted(errors, reverse=True)
+    assert len(set(errors)) == 4
+    best = GtsamBatch(marginals=False).estimate(dataset).graph_error
+    assert errors[-1] == pytest.approx(best, rel=1e-9)
+
+
+def test_covariances_are_left_out_on_request():
+    dataset = small((scanner(),))
+    batch, isam2 = GtsamBatch(marginals=False), GtsamIsam2(marginals=False)
+    for estimate in (batch.estimate(dataset), isam2.estimate(dataset)):
+        for trajectory in estimate.series.values():
+            assert trajectory.covariances is None
+        assert estimate.landmarks.covariances is None
+
+
+# Dead reckoning -----------------------------------------------------------------------------------
+
+
+def test_dead_reckoning_is_the_prediction_alone():
+    dataset = small((scanner(),))
+    estimate = DeadReckoning().estimate(dataset)
+    pose, P = dataset.prior.mean, dataset.prior.covariance
+    deltas, noise = dataset.robot.increments
+    for k in range(dataset.poses):
+        np.testing.assert_allclose(estimate.online.poses[k], pose, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(estimate.online.covariances[k], P, rtol=0, atol=1e-13)
+        if k < len(deltas):
+            F, G = geo.compose_jacobians(pose, deltas[k])
+            pose, P = geo.compose(pose, deltas[k]), F @ P @ F.T + G @ noise[k] @ G.T
+    assert estimate.landmarks is None
+    assert estimate.smoothed is None
+
+
+# Association --------------------------------------------------------------------------------------
+
+
+def test_association_of_an_estimate_is_what_it_used():
+    decision = [Decision.NEW, Decision.ACCEPTED, Decision.REJECTED, Decision.AMBIGUOUS]
+    met = Innovations(np.array(decision), np.array([4, 4, 5, 6]), np.zeros((4, 2)), np.eye(2))
+    association = Association.of(Estimate("a", "b", association="nearest", innovations=met))
+    assert association.landmark.tolist() == [4, 4, -1, -1]
+    assert association.name == "nearest"
+    with pytest.raises(UnsupportedError, match="made no associations"):
+        Association.of(DeadReckoning().estimate(drawn("cloister")))
+
+
+def test_a_landmark_without_a_usable_sighting_is_not_in_the_graph():
+    dataset = small((scanner(),))
+    blank = np.where(dataset.observations.landmark == 8, -1, dataset.observations.landmark)
+    some = replace(dataset, observations=replace(dataset.observations, landmark=blank))
+    named = Ekf(association="known")
+    for estimate in (
+        GtsamBatch(initial=named).estimate(some),
+        GtsamIsam2(association=named).estimate(some),
+    ):
+        assert estimate.status == OK
+        assert estimate.landmarks.ids.tolist() == [3, 5, 13, 21]
+        assert estimate.graph_dof == 2 * (blank >= 0).sum() - 2 * 4
+    association = Association(blank, "known")
+    assert len(LandmarkGraph(some, association).step(0)) == 1 + 4
+
+
+def test_without_names_both_smoothers_take_the_decisions_of_the_filter():
+    unnamed = simulate(replace(load_scenario("park"), association="unknown"), seed=1)
+    ekf = Ekf().estimate(unnamed)
+    for smoother in (GtsamBatch(marginals=False), GtsamIsam2(marginals=False)):
+        estimate = smoother.estimate(unnamed)
+        assert estimate.association == "nearest"
+        np.testing.assert_array_equal(estimate.landmarks.ids, ekf.landmarks.ids)
+        used = np.isin(ekf.innovations.decision, [Decision.ACCEPTED, Decision.NEW]).sum()
+        assert estimate.graph_dof == 2 * used - 2 * len(ekf.landmarks)
+
+
+def test_without_sightings_the_optimum_is_dead_reckoning():
+    dataset = small((scanner(),))
+    blind = replace(dataset, observations=Observations([], np.zeros((0, 2))), true_landmark=None)
+    expected = DeadReckoning().estimate(blind)
+    for smoother in (GtsamBatch(), GtsamIsam2()):
+        estimate = smoother.estimate(blind)
+        assert estimate.status == OK
+        np.testing.assert_allclose(
+            estimate.smoothed.poses, expected.online.poses, rtol=0, atol=1e-6
+        )
+        error = estimate.smoothed.covariances - expected.online.covariances
+        np.testing.assert_allclose(error, 0, rtol=0, atol=1e-6)
+        assert len(estimate.landmarks) == 0
+        assert estimate.graph_dof == 0
+
+
+# Failure is a row ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("smoother", [GtsamBatch(odometry_floor=1e-9), GtsamIsam2(1e9, 1, 0, True, "ekf", 1e-9)])  # fmt: skip
+def test_an_indeterminate_system_is_a_row_that_names_the_variable(smoother):
+    estimate = smoother.estimate(drawn("loop-15"))
+    assert estimate.status == FAILED
+    assert estimate.smoothed is None
+    assert estimate.message.startswith("indeterminate system near ")
+    assert estimate.message.split()[-2] in ("pose", "landmark")
+    assert estimate.message.split()[-1].isdigit()
+
+
+def test_another_failure_of_gtsam_is_a_row_in_its_words(monkeypatch):
+    def fail(*_):
+        raise RuntimeError("out of\n  patience")
+
+    monkeypatch.setattr(gtsam, "Marginals", fail)
+    estimate = GtsamBatch().estimate(small((scanner(),)))
+    assert estimate.status == FAILED
+    assert estimate.message == "out of patience"
+
+
+def test_stopping_early_is_told():
+    estimate = GtsamBatch(max_iterations=1, marginals=False).estimate(drawn("cloister"))
+    assert estimate.status == OK
+    assert estimate.message.startswith("stopped at the limit of iterations; 1 iterations from ekf")
+
+
+@pytest.mark.parametrize(
+    ("initial", "said"),
+    [
+        (DeadReckoning(), "dead-reckoning offers nothing to start from"),
+        (Estimate("lost", "small", online=Trajectory(np.full((10, 3), np.nan))), "not finite"),
+    ],
+)
+def test_a_start_that_cannot_be_used(initial, said):
+    with pytest.raises(UnsupportedError, match=said):
+        GtsamBatch(initial=initial).estimate(small((scanner(),)))
