@@ -106,9 +106,11 @@ def compare(
 
       ekfslam compare cloister victoria-park --seed 1 --out results/compare
     """
-    from ekfslam.experiments.compare import DATASETS
+    from ekfslam.experiments.compare import DATASETS, check_folder
     from ekfslam.experiments.compare import compare as run
 
+    if out is not None:
+        check_folder(out)
     with _progress() as watch:
         comparison = run(
             datasets or list(DATASETS),

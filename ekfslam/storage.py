@@ -91,10 +91,8 @@ class Reader:
                 self._arrays = {name: archive[name] for name in archive.files}
             self.header = json.loads(self._arrays.pop("header").tobytes())
             form, version = self.header["format"], self.header["version"]
-        except Exception as error:  # whatever a damaged archive sets off
-            raise FileFormatError(
-                f"{self.path}: damaged, or not a file of this package ({error})"
-            ) from None
+        except Exception:  # whatever a damaged archive sets off
+            raise FileFormatError(f"{self.path}: damaged, or not a file of this package") from None
         if form != self._form:
             raise FileFormatError(f"{self.path}: holds {form}, not {self._form}")
         if not isinstance(version, int):

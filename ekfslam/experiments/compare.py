@@ -154,6 +154,23 @@ class Comparison:
         return self.summary.to_html(index=False, na_rep="")
 
 
+def check_folder(folder: str | Path) -> None:
+    """Refuse a folder that cannot be written to, before hours of work depend on it.
+
+    Raises
+    ------
+    InputError
+        If it is a file, or neither it nor the nearest folder above can be written to.
+    """
+    place = Path(folder).absolute()
+    while not place.exists():
+        place = place.parent
+    if not place.is_dir():
+        raise InputError(f"cannot write to {folder}: {place} is not a folder")
+    if not os.access(place, os.W_OK):
+        raise InputError(f"cannot write to {folder}: permission denied")
+
+
 def compare(
     datasets: str | Dataset | Sequence[str | Dataset] = DATASETS,
     estimators: str | Any | Sequence[str | Any] = ESTIMATORS,
