@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -34,7 +35,7 @@ class GtsamBatch:
     Parameters
     ----------
     initial : str, Estimator or Estimate
-        Where to start, and whose association to take where the dataset has none.
+        Where to start, and whose association to take if it made its own.
     relative_tolerance : float
         Relative decrease of the error below which it stops.
     max_iterations : int
@@ -74,8 +75,8 @@ class GtsamBatch:
         given = isinstance(self.initial, Estimate)
         started = time.perf_counter()
         first = self.initial if given else resolve(self.initial).estimate(dataset)
-        known = dataset.association_known
-        association = Association.known(dataset) if known else Association.of(first)
+        named = first.association in ("", "known")  # else it names landmarks as it finds them
+        association = Association.known(dataset) if named else Association.of(first)
         problem = LandmarkGraph(dataset, association, self.odometry_floor)
         common: dict[str, Any] = {
             "estimator": self.name,
@@ -137,16 +138,11 @@ def recovered(
 
 def in_words(failure: RuntimeError) -> str:
     """What gtsam's exception says, in one line that names the variable."""
-    text = str(failure)
-    if "ndeterminant" not in text:
-        return " ".join(text.split())
-    words = text.replace(",", " ").replace(".", " ").split()
-    for word in words:
-        if word[:1] in "xls" and word[1:].isdigit():
-            return f"indeterminate system near {key_name(gtsam.symbol(word[0], int(word[1:])))}"
-        if word.isdigit() and int(word) > 1 << 32:
-            return f"indeterminate system near {key_name(int(word))}"
-    return "indeterminate system: " + " ".join(text.split())
+    text = " ".join(str(failure).split())
+    variable = re.search(r"near variable (\d+)", text)
+    if variable is None:
+        return text
+    return f"indeterminate system near {key_name(int(variable[1]))}"
 
 
 def _name(initial: Any) -> str:

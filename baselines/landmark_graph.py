@@ -10,8 +10,9 @@ Factors are gtsam's own, without a Python callback:
 - x and y: `PlanarProjectionFactor2`. A pinhole camera that looks straight down on landmarks at
   depth 1 reports exactly their position in its frame, and it takes the mount.
 
-gtsam's tangent of `Pose2` is that of the body; covariances are rotated into the package's additive
-convention on the way out.
+gtsam's tangent of `Pose2` is that of the body, and its errors of prior and motion are
+``Log(measured^-1 actual)``: equal to the filters' additive errors to first order in the error of
+the heading. Covariances are rotated into the package's additive convention on the way out.
 """
 
 from __future__ import annotations
@@ -302,7 +303,7 @@ class LandmarkGraph:
     def positions_of(self, values: gtsam.Values) -> Array:
         """Landmark positions (L, 2) of a solution, in the order of `landmarks`."""
         extract = gtsam.utilities.extractPoint3 if self.points_3d else gtsam.utilities.extractPoint2
-        return np.asarray(extract(values)).reshape(len(self.landmarks), -1)[:, :2]
+        return np.asarray(extract(values)).reshape(-1, 3 if self.points_3d else 2)[:, :2]
 
 
 def pose_covariances(poses: Array, marginals: Iterable[Array]) -> Array:

@@ -32,7 +32,7 @@ import baselines.isam2
 import ekfslam
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset, LandmarkMap, Observations, Prior, Robot
-from ekfslam.filters.ekf_slam import Ekf
+from ekfslam.filters.ekf import Ekf
 
 OUT = Path(__file__).parents[1] / "results" / "bench" / "speed.csv"
 REPEATS = 5

@@ -19,8 +19,8 @@ __version__ = "0.1.0"
 _HOMES = {
     "Comparison": "ekfslam.experiments",
     "Dataset": "ekfslam.dataset",
-    "Ekf": "ekfslam.filters.ekf_slam",
-    "EkfSlam": "ekfslam.filters.ekf_slam",
+    "Ekf": "ekfslam.filters.ekf",
+    "EkfSlam": "ekfslam.filters.ekf",
     "EkfslamError": "ekfslam.errors",
     "Estimate": "ekfslam.estimate",
     "FileFormatError": "ekfslam.errors",

@@ -23,6 +23,8 @@ from numba.extending import overload
 
 F = TypeVar("F", bound=Callable)
 PACKAGE = Path(__file__).parent
+# What compiled functions are made of, with the constants that are frozen into them.
+SOURCES = ("compiled.py", "estimate.py", "association/*.py", "filters/*.py", "models/*.py")
 
 
 @cache
@@ -35,9 +37,8 @@ def _cache_folder() -> str:
     """
     base = PACKAGE / "__pycache__"
     digest = hashlib.sha256()
-    for source in sorted(PACKAGE.rglob("*.py")):
-        if b"compiled" in (text := source.read_bytes()):
-            digest.update(text)
+    for source in sorted(path for part in SOURCES for path in PACKAGE.glob(part)):
+        digest.update(source.read_bytes())
     folder = base / f"kernels-{digest.hexdigest()[:16]}"
     try:
         folder.mkdir(parents=True, exist_ok=True)

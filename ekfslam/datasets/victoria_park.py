@@ -21,10 +21,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ekfslam.checks import is_covariance
 from ekfslam.dataset import Dataset, Observations, Prior, Robot
 from ekfslam.errors import FileFormatError, InputError
 from ekfslam.geometry import Array
@@ -80,41 +81,32 @@ def load(
         raise InputError(f"noise must be 'default' or 'file', got {noise!r}")
     path = default_path() if path is None else Path(path)
     odometry, sightings = _read(path)
-    order = np.concatenate([odometry[:1, 0], odometry[:, 1]]).astype(np.int64)
-    step_of = {int(pose): step for step, pose in enumerate(order)}
-    increments = odometry[:, 2:5]
-    values = sightings[:, 2:4]
-    rows = len(values)
-    step = np.empty(rows, dtype=np.int64)
-    for row, pose in enumerate(sightings[:, 0].astype(np.int64)):
-        if int(pose) not in step_of:
-            raise FileFormatError(f"{path}: LANDMARK seen from pose {pose}, which has no odometry")
-        step[row] = step_of[int(pose)]
-    covariance = None
+    step = _steps(path, odometry, sightings)
+    values, covariance = sightings.values, None
     if noise == "file":
-        odometry_covariance = _upper(odometry[0, 5:])
-        if np.abs(odometry[:, 5:] - odometry[0, 5:]).max() > 0:
-            raise FileFormatError(f"{path}: the odometry covariance changes along the file")
-        sensor = Sensor("xy", _upper(sightings[0, 4:]), name="laser")
-        covariance = np.array([_upper(row) for row in sightings[:, 4:]])
+        odometry_covariance = _covariances(path, odometry, 3)[0]
+        changes = (odometry.covariances != odometry.covariances[0]).any(axis=1)
+        _refuse(path, odometry, changes, "another odometry covariance than before")
+        covariance = _covariances(path, sightings, 2)
+        # Every sighting has its own; the sensor's is for show.
+        sensor = Sensor("xy", covariance[0] if len(covariance) else np.zeros((2, 2)), name="laser")
     else:
         odometry_covariance = np.diag(np.square(odometry_sigmas))
         sensor = Sensor("range-bearing", np.diag(np.square(sensor_sigmas)), name="laser")
         values = np.column_stack(
             [np.hypot(values[:, 0], values[:, 1]), np.arctan2(values[:, 1], values[:, 0])]
         )
+    motion = MotionModel("odometry", odometry_covariance)
     by_step = np.argsort(step, kind="stable")
     return Dataset(
         name="victoria-park",
-        robots=(
-            Robot(MotionModel("odometry", odometry_covariance), increments, Prior(), name="car"),
-        ),
-        times=np.arange(len(order), dtype=float),
+        robots=(Robot(motion, odometry.values, Prior(), name="car"),),
+        times=np.arange(len(odometry.end) + 1, dtype=float),
         sensors=(sensor,),
         observations=Observations(
             step=step[by_step],
             values=values[by_step],
-            landmark=sightings[by_step, 1].astype(np.int64),
+            landmark=sightings.end[by_step],
             covariance=None if covariance is None else covariance[by_step],
         ),
         provenance=f"{path.name} of the gtsam package; J. Guivant and E. Nebot, IEEE Trans. "
@@ -122,38 +114,77 @@ def load(
     )
 
 
-def _upper(entries: Array) -> Array:
-    """Symmetric matrix from its upper triangle, row by row."""
-    size = {3: 2, 6: 3}[len(entries)]
-    matrix = np.zeros((size, size))
-    matrix[np.triu_indices(size)] = entries
-    return matrix + np.triu(matrix, 1).T
+class _Records(NamedTuple):
+    """Records of one kind: line in the file, ids of both ends, values, upper triangles."""
+
+    line: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    values: Array
+    covariances: Array
+
+    @classmethod
+    def of(cls, rows: list[list[float]], fields: int, values: int) -> _Records:
+        """Records from rows of the line number and the numbers of the line."""
+        table = np.array(rows).reshape(-1, 1 + fields)
+        line, start, end = table[:, :3].astype(np.int64).T
+        return cls(line, start, end, table[:, 3 : 3 + values], table[:, 3 + values :])
 
 
-def _read(path: Path) -> tuple[Array, Array]:
-    """Odometry (K, 11) and sightings (M, 7), both in the order of the file."""
+def _refuse(path: Path, records: _Records, bad: np.ndarray, what: str) -> None:
+    """Name the line of the first bad record, if there is one; `what` may ask for its ids."""
+    for row in np.flatnonzero(bad)[:1]:
+        said = what.format(start=records.start[row], end=records.end[row])
+        raise FileFormatError(f"{path}, line {records.line[row]}: {said}")
+
+
+def _repeated(keys: np.ndarray) -> np.ndarray:
+    """Whether each row has been there before."""
+    _, first = np.unique(keys, axis=0, return_index=True)
+    return ~np.isin(np.arange(len(keys)), first)
+
+
+def _steps(path: Path, odometry: _Records, sightings: _Records) -> np.ndarray:
+    """Step of each sighting, after a look at how the records hang together."""
+    order = np.append(odometry.start[:1], odometry.end)
+    breaks = odometry.start != order[:-1]
+    _refuse(path, odometry, breaks, "the odometry chain breaks: it goes on from pose {start}")
+    _refuse(path, odometry, _repeated(order)[1:], "pose {end} is reached twice")
+    step_of = {pose: step for step, pose in enumerate(order.tolist())}
+    step = np.array([step_of.get(pose, -1) for pose in sightings.start.tolist()], dtype=np.int64)
+    _refuse(path, sightings, step < 0, "LANDMARK seen from pose {start}, which has no odometry")
+    twice = _repeated(np.column_stack([step, sightings.end]))
+    _refuse(path, sightings, twice, "landmark {end} is seen twice from pose {start}")
+    return step
+
+
+def _covariances(path: Path, records: _Records, size: int) -> Array:
+    """Covariances from their upper triangles, row by row."""
+    matrices = np.zeros((len(records.line), size, size))
+    rows, columns = np.triu_indices(size)
+    matrices[:, rows, columns] = matrices[:, columns, rows] = records.covariances
+    bad = ~is_covariance(matrices)
+    _refuse(path, records, bad, "the covariance is not positive semi-definite")
+    return matrices
+
+
+def _read(path: Path) -> tuple[_Records, _Records]:
+    """Odometry and sightings, both in the order of the file."""
     try:
         lines = path.read_text().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise FileFormatError(f"{path}: cannot be read ({error})") from None
-    rows: dict[str, list[list[float]]] = {"ODOMETRY": [], "LANDMARK": []}
+    rows: dict[str, list[list[float]]] = {name: [] for name in FIELDS}
     for number, line in enumerate(lines, start=1):
         words = line.split()
         if not words:
             continue
-        rows_of = rows.get(words[0])
-        if rows_of is None:
+        if words[0] not in rows:
             raise FileFormatError(f"{path}, line {number}: unknown record {words[0]!r}")
-        rows_of.append(_numbers(path, number, words))
+        rows[words[0]].append([number, *_numbers(path, number, words)])
     if not rows["ODOMETRY"]:
         raise FileFormatError(f"{path}: holds no odometry")
-    odometry = np.array(rows["ODOMETRY"])
-    broken = np.flatnonzero(odometry[1:, 0] != odometry[:-1, 1])
-    if len(broken):
-        raise FileFormatError(
-            f"{path}: the odometry chain breaks after pose {odometry[broken[0], 1]:.0f}"
-        )
-    return odometry, np.array(rows["LANDMARK"]).reshape(-1, 7)
+    return _Records.of(rows["ODOMETRY"], 11, 3), _Records.of(rows["LANDMARK"], 7, 2)
 
 
 def _numbers(path: Path, number: int, words: list[Any]) -> list[float]:
@@ -169,6 +200,6 @@ def _numbers(path: Path, number: int, words: list[Any]) -> list[float]:
         )
     if not np.isfinite(values).all():
         raise FileFormatError(f"{path}, line {number}: NaN or infinite value in {words[0]}")
-    if any(v != int(v) or v < 0 for v in values[:2]):
+    if any(v != int(v) or not 0 <= v < 1 << 53 for v in values[:2]):
         raise FileFormatError(f"{path}, line {number}: ids of {words[0]} must be whole numbers")
     return values

@@ -23,7 +23,7 @@ def wrap(angle: float) -> float:
     """Angle in [-pi, pi); see `ekfslam.geometry.wrap`."""
     if -math.pi <= angle < math.pi:
         return angle
-    wrapped = angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
+    wrapped = angle - 2.0 * math.pi * np.floor((angle + math.pi) / (2.0 * math.pi))
     if wrapped >= math.pi:
         return wrapped - 2.0 * math.pi
     return max(wrapped, -math.pi)
