@@ -22,7 +22,7 @@ from baselines.landmark_graph import (
 )
 from ekfslam.dataset import Dataset
 from ekfslam.errors import UnsupportedError
-from ekfslam.estimate import FAILED, Estimate, LandmarkEstimates, Trajectory
+from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
 from ekfslam.registry import Progress, estimator_name, resolve
 
 

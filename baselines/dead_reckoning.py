@@ -9,7 +9,7 @@ import numpy as np
 
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
-from ekfslam.estimate import Estimate, Trajectory
+from ekfslam.estimates import Estimate, Trajectory
 from ekfslam.registry import Progress
 
 

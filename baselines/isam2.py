@@ -20,7 +20,7 @@ from baselines.landmark_graph import (
     pose_key,
 )
 from ekfslam.dataset import Dataset
-from ekfslam.estimate import FAILED, Estimate, LandmarkEstimates, Trajectory
+from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
 from ekfslam.registry import Progress, resolve
 
 

@@ -27,7 +27,7 @@ from gtsam import noiseModel
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.errors import UnsupportedError
-from ekfslam.estimate import Decision, Estimate
+from ekfslam.estimates import Decision, Estimate
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import XY
 

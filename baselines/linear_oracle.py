@@ -16,7 +16,7 @@ from gtsam import noiseModel
 from baselines.landmark_graph import landmark_key, pose_key
 from ekfslam import geometry as geo
 from ekfslam.dataset import Prior
-from ekfslam.estimate import Linearizations
+from ekfslam.estimates import Linearizations
 from ekfslam.geometry import Array
 
 NEGLIGIBLE = 1e-15  # an eigenvalue this small beside the largest is an exact constraint

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ekfslam.dataset import Dataset
-    from ekfslam.estimate import Estimate
+    from ekfslam.estimates import Estimate
 
 __version__ = "0.1.0"
 
@@ -22,7 +22,7 @@ _HOMES = {
     "Ekf": "ekfslam.filters.ekf",
     "EkfSlam": "ekfslam.filters.ekf",
     "EkfslamError": "ekfslam.errors",
-    "Estimate": "ekfslam.estimate",
+    "Estimate": "ekfslam.estimates",
     "FileFormatError": "ekfslam.errors",
     "InputError": "ekfslam.errors",
     "LandmarkMap": "ekfslam.dataset",

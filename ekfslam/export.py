@@ -9,7 +9,7 @@ import numpy as np
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError
-from ekfslam.estimate import Trajectory
+from ekfslam.estimates import Trajectory
 from ekfslam.models.sensors import Sensor
 from ekfslam.storage import atomic_write
 
@@ -54,7 +54,6 @@ def write_g2o(dataset: Dataset, path: str | Path) -> None:
         f"VERTEX_XY {len(poses) + i} {_join(anchors[i])} # landmark {ids[i]}"
         for i in range(len(ids))
     ]
-    lines.append("FIX 0")
     upper = np.triu_indices(3)
     lines += [
         f"EDGE_SE2 {k} {k + 1} {_join(deltas[k])} {_join(motion[k][upper])}"
@@ -65,6 +64,7 @@ def write_g2o(dataset: Dataset, path: str | Path) -> None:
         f"EDGE_SE2_XY {k} {len(poses) + j} {_join(point)} {_join(view[upper])}"
         for k, j, point, view in zip(step, number, points, views, strict=True)
     ]
+    lines.append("FIX 0")  # last: gtsam's reader stops at it
     with atomic_write(path) as stream:
         stream.write(("\n".join(lines) + "\n").encode())
 
@@ -78,7 +78,14 @@ def write_tum(trajectory: Trajectory, times: np.ndarray, path: str | Path) -> No
     times : (K + 1,) ndarray
         [s].
     path : path
+
+    Raises
+    ------
+    InputError
+        If there is not one time for each pose.
     """
+    if len(times) != len(trajectory.poses):
+        raise InputError(f"{len(times)} times for {len(trajectory.poses)} poses")
     x, y, theta = trajectory.poses.T
     zero = np.zeros_like(x)
     rows = np.column_stack([times, x, y, zero, zero, zero, np.sin(theta / 2), np.cos(theta / 2)])

@@ -16,7 +16,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
-from ekfslam.estimate import Estimate
+from ekfslam.estimates import Estimate
 
 GROUP = "ekfslam.estimators"
 ORACLES = "ekfslam.oracles"

@@ -12,8 +12,8 @@ from ekfslam.association.gates import Gates, chi2_gate
 from ekfslam.association.nearest import AMBIGUOUS, NEW, nearest_neighbour
 from ekfslam.dataset import LandmarkMap, Prior, Sightings
 from ekfslam.errors import InputError
-from ekfslam.estimate import Decision
-from ekfslam.filters.ekf_slam import Ekf, EkfSlam
+from ekfslam.estimates import Decision
+from ekfslam.filters.ekf import Ekf, EkfSlam
 from ekfslam.models.sensors import Sensor
 from ekfslam.simulation import load_scenario, simulate
 

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset, LandmarkMap, Observations, Robot
 from ekfslam.errors import InputError
-from ekfslam.estimate import Estimate, Innovations, LandmarkEstimates, Trajectory
+from ekfslam.estimates import Estimate, Innovations, LandmarkEstimates, Trajectory
 from ekfslam.evaluation import (
     chi2_interval,
     judged,

@@ -8,14 +8,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from textbook import TextbookEkf, two_sensors
+from textbook import TextbookEkf, first_poses, two_sensors
 
 from ekfslam import geometry as geo
 from ekfslam.dataset import LandmarkMap, Observations, Prior, Sightings
 from ekfslam.errors import InputError, UnsupportedError
-from ekfslam.estimate import DIVERGED, Decision, Estimate
-from ekfslam.filters import ekf_slam
-from ekfslam.filters.ekf_slam import UPDATES, Ekf, EkfSlam
+from ekfslam.estimates import DIVERGED, Decision, Estimate
+from ekfslam.filters import ekf as ekf_module
+from ekfslam.filters.ekf import UPDATES, Ekf, EkfSlam
 from ekfslam.filters.gaussian_map import GaussianMap
 from ekfslam.models.sensors import Sensor
 from ekfslam.simulation import load_scenario, simulate
@@ -38,20 +38,6 @@ def drawn(name):
 def textbook(name, update):
     """Estimate and linearisations of the textbook filter."""
     return TextbookEkf(update=update).linearizations(drawn(name))
-
-
-def first_poses(dataset, count):
-    """The beginning of a dataset."""
-    rows = dataset.observations.step < count
-    columns = ("step", "values", "landmark", "sensor")
-    robot = dataset.robot
-    return replace(
-        dataset,
-        robots=(replace(robot, controls=robot.controls[: count - 1], truth=robot.truth[:count]),),
-        times=dataset.times[:count],
-        observations=Observations(**{c: getattr(dataset.observations, c)[rows] for c in columns}),
-        true_landmark=dataset.true_landmark[rows],
-    )
 
 
 def unknown(dataset):
@@ -288,7 +274,7 @@ def test_step_by_step_gives_the_same_bits(name, association, update):
 def test_growing_storage_changes_no_bit(association, monkeypatch):
     dataset = drawn("cloister")
     roomy = Ekf(association).estimate(dataset)
-    monkeypatch.setattr(ekf_slam, "GaussianMap", lambda prior, landmarks=1: GaussianMap(prior, 1))
+    monkeypatch.setattr(ekf_module, "GaussianMap", lambda prior, landmarks=1: GaussianMap(prior, 1))
     assert_same_estimate(Ekf(association).estimate(dataset), roomy)
     _, poses, covariances, _ = online(dataset, association=association)
     np.testing.assert_array_equal(poses, roomy.online.poses)
@@ -308,7 +294,8 @@ def test_progress_is_told_and_changes_nothing():
 PLAIN = """
 import sys
 from ekfslam.dataset import Dataset
-from ekfslam.filters.ekf_slam import Ekf, run
+from ekfslam.filters.ekf import Ekf
+from ekfslam.filters.ekf_slam import run
 assert not hasattr(run, "py_func")
 dataset = Dataset.load(sys.argv[1])
 for association in ("known", "nearest"):

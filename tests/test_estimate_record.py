@@ -9,7 +9,7 @@ import pytest
 from numerics import assert_same_record
 from numpy.testing import assert_array_equal
 
-from ekfslam.estimate import (
+from ekfslam.estimates import (
     Decision,
     Estimate,
     Innovations,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ekfslam.dataset import Dataset, LandmarkMap, Observations, Robot
-from ekfslam.estimate import Decision, Estimate, Innovations, LandmarkEstimates
+from ekfslam.estimates import Decision, Estimate, Innovations, LandmarkEstimates
 from ekfslam.evaluation import match_landmarks
 from ekfslam.evaluation.landmarks import common_landmarks, true_positions
 from ekfslam.models.motion import MotionModel

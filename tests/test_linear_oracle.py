@@ -9,7 +9,7 @@ from textbook import TextbookEkf, two_sensors
 from baselines.linear_oracle import solve
 from ekfslam import geometry as geo
 from ekfslam.dataset import Prior
-from ekfslam.filters.ekf_slam import UPDATES, Ekf
+from ekfslam.filters.ekf import UPDATES, Ekf
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.simulation import load_scenario, simulate

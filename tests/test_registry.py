@@ -9,7 +9,7 @@ import pytest
 
 from ekfslam import registry
 from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
-from ekfslam.estimate import Estimate
+from ekfslam.estimates import Estimate
 from ekfslam.registry import Estimator, estimator_name, registered, resolve
 
 

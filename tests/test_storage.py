@@ -15,7 +15,7 @@ from numerics import assert_same_record
 from ekfslam import storage
 from ekfslam.dataset import Dataset, Robot
 from ekfslam.errors import FileFormatError, InputError
-from ekfslam.estimate import Estimate, Trajectory
+from ekfslam.estimates import Estimate, Trajectory
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.observations import Observations

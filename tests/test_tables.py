@@ -13,7 +13,7 @@ import pytest
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset, LandmarkMap, Observations, Prior, Robot
 from ekfslam.errors import FileFormatError, InputError, UnknownNameError
-from ekfslam.estimate import Decision, Estimate, Innovations, LandmarkEstimates, Trajectory
+from ekfslam.estimates import Decision, Estimate, Innovations, LandmarkEstimates, Trajectory
 from ekfslam.evaluation import relative_errors, tables
 from ekfslam.evaluation.tables import SCHEMAS
 from ekfslam.models.motion import MotionModel

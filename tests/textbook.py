@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ekfslam.dataset import Dataset, LandmarkMap, Prior
-from ekfslam.estimate import (
+from ekfslam.dataset import Dataset, LandmarkMap, Observations, Prior
+from ekfslam.estimates import (
     Decision,
     Estimate,
     Innovations,
@@ -252,3 +252,17 @@ def two_sensors(**changes: Any) -> Scenario:
         observe_start=True,
     )
     return replace(scenario, **changes)
+
+
+def first_poses(dataset: Dataset, count: int) -> Dataset:
+    """The beginning of a dataset."""
+    rows = dataset.observations.step < count
+    columns = ("step", "values", "landmark", "sensor")
+    robot = dataset.robot
+    return replace(
+        dataset,
+        robots=(replace(robot, controls=robot.controls[: count - 1], truth=robot.truth[:count]),),
+        times=dataset.times[:count],
+        observations=Observations(**{c: getattr(dataset.observations, c)[rows] for c in columns}),
+        true_landmark=dataset.true_landmark[rows],
+    )

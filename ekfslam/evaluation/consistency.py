@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError
-from ekfslam.estimate import DIVERGED, OK, Estimate, Trajectory
+from ekfslam.estimates import DIVERGED, OK, Estimate, Trajectory
 from ekfslam.evaluation.landmarks import common_landmarks, identities_shared
 from ekfslam.evaluation.statistics import rmse
 from ekfslam.evaluation.trajectory import alignment_motion, path_length

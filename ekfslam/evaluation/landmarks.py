@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ekfslam.dataset import Dataset
-from ekfslam.estimate import Decision, Estimate, LandmarkEstimates
+from ekfslam.estimates import Decision, Estimate, LandmarkEstimates
 from ekfslam.geometry import Array
 from ekfslam.observations import NO_LANDMARK
 

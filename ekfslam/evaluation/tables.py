@@ -12,7 +12,7 @@ import pandas as pd
 
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
-from ekfslam.estimate import Decision, Estimate, LandmarkEstimates, Trajectory
+from ekfslam.estimates import Decision, Estimate, LandmarkEstimates, Trajectory
 from ekfslam.evaluation.consistency import (
     gaps,
     pose_nees,

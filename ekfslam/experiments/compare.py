@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +21,7 @@ import pandas as pd
 
 from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
-from ekfslam.estimate import FAILED, SKIPPED, Estimate
+from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import judged, tables
 from ekfslam.experiments.sources import open_dataset
 from ekfslam.registry import Estimator, estimator_name, resolve
@@ -113,7 +116,9 @@ class Comparison:
             If the folder cannot be written to.
         """
         folder = Path(folder)
+        missing = [place for place in (folder, *folder.parents) if not place.exists()]
         scratch = None
+        done = False
         try:
             folder.mkdir(parents=True, exist_ok=True)
             scratch = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
@@ -121,11 +126,15 @@ class Comparison:
             written = sorted(scratch.iterdir())
             for path in written:
                 os.replace(path, folder / path.name)
+            done = True
         except OSError as error:
             raise InputError(f"cannot write to {folder}: {error.strerror or error}") from None
         finally:
             if scratch is not None:
                 shutil.rmtree(scratch, ignore_errors=True)
+            for place in () if done else missing:
+                with suppress(OSError):
+                    place.rmdir()
         return [folder / path.name for path in written]
 
     def _write(self, folder: Path, figures: bool) -> None:
@@ -136,8 +145,9 @@ class Comparison:
             from ekfslam.plots import save
 
             for dataset in self.datasets:
+                stem = re.sub(r"[^\w.-]+", "-", dataset).lstrip(".-") or "dataset"
                 for figure in FIGURES:
-                    save(getattr(self, f"plot_{figure}")(dataset), folder, f"{dataset}-{figure}")
+                    save(getattr(self, f"plot_{figure}")(dataset), folder, f"{stem}-{figure}")
 
     def _name(self, dataset: str | None) -> str:
         if dataset is None:
@@ -225,13 +235,10 @@ def compare(
         found = {name: _run(name, subject, dataset, watch) for name, subject in subjects.items()}
         reference = found.get(REFERENCE)
         for name, estimate in found.items():
+            made = _tabulate(dataset, estimate, alignment, rpe_distance, reference)
             estimates[dataset.name, name] = estimate
-            parts["summary"].append(
-                tables.summary_rows(dataset, estimate, alignment, rpe_distance, reference)
-            )
-            parts["trajectories"].append(tables.trajectories(dataset, estimate, alignment))
-            parts["landmarks"].append(tables.landmarks(dataset, estimate, alignment))
-            parts["innovations"].append(tables.innovations(dataset, estimate))
+            for table, rows in made.items():
+                parts[table].append(rows)
     config = {
         "datasets": {d.name: {"provenance": d.provenance, "seed": d.seed} for d in opened.values()},
         "estimators": {name: _options(estimates, name) for name in subjects},
@@ -275,7 +282,9 @@ def _run(name: str, subject: Estimator, dataset: Dataset, watch: Watch | None) -
         estimate = _call(subject, dataset, progress)
         if not isinstance(estimate, Estimate):
             raise TypeError(f"estimate(dataset) returned {type(estimate).__name__}, not Estimate")
-        return judged(dataset, _renamed(estimate, name, dataset.name))
+        estimate = judged(dataset, replace(estimate, estimator=name, dataset=dataset.name))
+        _tabulate(dataset, estimate)  # what cannot be tabulated is no estimate
+        return estimate
     except UnsupportedError as reason:
         return Estimate(name, dataset.name, status=SKIPPED, message=str(reason))
     except Exception as error:
@@ -283,20 +292,27 @@ def _run(name: str, subject: Estimator, dataset: Dataset, watch: Watch | None) -
         return Estimate(name, dataset.name, status=FAILED, message=text)
 
 
+def _tabulate(
+    dataset: Dataset,
+    estimate: Estimate,
+    alignment: str = "none",
+    rpe_distance: float = 10.0,
+    reference: Estimate | None = None,
+) -> dict[str, pd.DataFrame]:
+    """The four tables of one estimate."""
+    return {
+        "summary": tables.summary_rows(dataset, estimate, alignment, rpe_distance, reference),
+        "trajectories": tables.trajectories(dataset, estimate, alignment),
+        "landmarks": tables.landmarks(dataset, estimate, alignment),
+        "innovations": tables.innovations(dataset, estimate),
+    }
+
+
 def _call(subject: Estimator, dataset: Dataset, progress: Any) -> Any:
     """Estimate, with progress if the estimator tells of it."""
-    from inspect import signature
-
     if progress is not None and "progress" in signature(subject.estimate).parameters:
         return subject.estimate(dataset, progress=progress)  # type: ignore[call-arg]
     return subject.estimate(dataset)
-
-
-def _renamed(estimate: Estimate, name: str, dataset: str) -> Estimate:
-    """The tables go by the names that the user gave."""
-    from dataclasses import replace
-
-    return replace(estimate, estimator=name, dataset=dataset)
 
 
 def _options(estimates: Mapping[tuple[str, str], Estimate], name: str) -> dict[str, Any]:

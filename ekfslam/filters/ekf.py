@@ -13,7 +13,7 @@ from ekfslam.association.gates import Gates, chi2_gate
 from ekfslam.checks import check_finite, checked_array, checked_covariance
 from ekfslam.dataset import Dataset, Prior, Sightings
 from ekfslam.errors import InputError
-from ekfslam.estimate import (
+from ekfslam.estimates import (
     DIVERGED,
     OK,
     Estimate,

@@ -13,7 +13,7 @@ import numpy as np
 
 from ekfslam.association.nearest import AMBIGUOUS, nearest_neighbour
 from ekfslam.compiled import compiled, now
-from ekfslam.estimate import Decision
+from ekfslam.estimates import Decision
 from ekfslam.filters.gaussian_map import POINT, POSE
 from ekfslam.filters.kernels import (
     append,

@@ -14,7 +14,7 @@ import numpy as np
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.errors import UnsupportedError
-from ekfslam.estimate import (
+from ekfslam.estimates import (
     FAILED,
     SKIPPED,
     Estimate,
@@ -60,7 +60,7 @@ def _linearizations(subject: Estimator, dataset: Dataset) -> tuple[Estimate, Lin
     if method is None:
         raise UnsupportedError(
             "needs a method linearizations(dataset) that returns the estimate and the "
-            "Linearizations behind it (ekfslam.estimate)"
+            "Linearizations behind it (ekfslam.estimates)"
         )
     return method(dataset)
 

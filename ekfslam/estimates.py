@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from ekfslam.errors import InputError
 from ekfslam.geometry import Array
 from ekfslam.storage import Reader, Writer
 
 FORMAT = "ekfslam-estimate"
 VERSION = 1
 
-OK, DIVERGED, FAILED, SKIPPED = "ok", "diverged", "failed", "skipped"
+OK, DIVERGED, FAILED, SKIPPED = STATUSES = ("ok", "diverged", "failed", "skipped")
 
 
 class Decision(IntEnum):
@@ -214,6 +215,10 @@ class Estimate:
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.status not in STATUSES:
+            raise InputError(f"status must be one of {', '.join(STATUSES)}, got {self.status!r}")
+        if not isinstance(self.options, dict):
+            raise InputError(f"options must be a dict, got {self.options!r}")
         _freeze(self)
 
     @property
