@@ -65,8 +65,9 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """Whether no rung failed; one that does not apply counts for neither."""
-        return all(rung.outcome != FAIL for rung in self.rungs)
+        """Whether some rung passed and none failed; one that does not apply counts for neither."""
+        outcomes = {rung.outcome for rung in self.rungs}
+        return PASS in outcomes and FAIL not in outcomes
 
     @property
     def table(self) -> pd.DataFrame:
@@ -132,7 +133,7 @@ def _climb(
     except UnsupportedError as reason:
         return Rung(number, name, scenario, NOT_APPLICABLE, nan, bound, str(reason))
     except Exception as error:
-        text = f"raised {type(error).__name__}: {error}"
+        text = f"raised {type(error).__name__}: {' '.join(str(error).split())}"
         return Rung(number, name, scenario, FAIL, nan, bound, text)
     good = measured >= bound if name == rungs.SMALL_NOISE else measured <= bound
     return Rung(number, name, scenario, PASS if good else FAIL, measured, bound, detail)

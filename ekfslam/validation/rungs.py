@@ -50,6 +50,8 @@ def _estimate(
     trajectory, landmarks = estimate.final_trajectory, estimate.landmarks
     if estimate.status == FAILED or trajectory is None:
         raise RuntimeError(estimate.message or "the estimate holds no trajectory")
+    if estimate.association not in ("", "known"):
+        raise UnsupportedError("needs known association: else landmarks have the filter's numbers")
     if landmarks is None:  # dead reckoning has no map
         landmarks = LandmarkEstimates(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
     return estimate, trajectory, landmarks
