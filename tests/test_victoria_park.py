@@ -1,6 +1,9 @@
 """Victoria Park: the file, the estimators on it, and the divergence that symmetry avoids."""
 
+import gzip
+import os
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -266,3 +269,16 @@ def test_the_symmetric_update_runs_to_the_end():
     ours = Ekf(update="sequential").estimate(dataset)
     error = geo.additive_error(ours.online.poses, poses)
     np.testing.assert_allclose(error, 0, rtol=0, atol=1e-9)
+
+
+@pytest.mark.skipif("EKFSLAM_DATA" not in os.environ, reason="EKFSLAM_DATA names no folder")
+def test_the_published_file_is_the_one_of_the_wheel(tmp_path):
+    packed = Path(os.environ["EKFSLAM_DATA"]) / "victoria_park" / "victoria_park.txt.gz"
+    if not packed.exists():
+        pytest.skip(f"{packed.name} is not in the data folder")
+    path = tmp_path / "victoria_park.txt"
+    path.write_bytes(gzip.decompress(packed.read_bytes()))
+    ours, wheel = victoria_park.load(path), park()
+    np.testing.assert_array_equal(ours.robot.controls, wheel.robot.controls)
+    np.testing.assert_array_equal(ours.observations.values, wheel.observations.values)
+    np.testing.assert_array_equal(ours.observations.landmark, wheel.observations.landmark)

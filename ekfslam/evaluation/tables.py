@@ -83,7 +83,8 @@ def summary_rows(
     true_map = true_positions(dataset, match.true_landmark)
     shared = (
         _keys(dataset, estimate)
-        | {name: getattr(estimate, name) for name in ("association", "status", "message")}
+        | {"association": estimate.association, "status": estimate.status}
+        | {"message": estimate.message}
         | {"steps": dataset.poses, "observations": len(dataset.observations)}
         | _landmark_counts(estimate, match)
         | _times(estimate)
@@ -91,6 +92,7 @@ def summary_rows(
     rows = [
         shared
         | {"series": name, "alignment": _applied(dataset, alignment)}
+        | {"message": _message(dataset, estimate, series)}
         | _pose_scalars(dataset, series, alignment, rpe_distance)
         | _landmark_scalars(estimate, true_map, _motion(dataset, series, alignment))
         | (_nis_scalars(estimate) if name == "online" else _graph_scalars(estimate))
@@ -298,6 +300,15 @@ def _nees(dataset: Dataset, series: Trajectory) -> tuple[Array, Array]:
         return skipped, skipped
     arguments = series.poses, dataset.truth, series.covariances
     return pose_nees(*arguments), pose_nees_invariant(*arguments)
+
+
+def _message(dataset: Dataset, estimate: Estimate, series: Trajectory) -> str:
+    """What the estimator said, and at how many poses NEES had to be skipped."""
+    if dataset.truth is None or series.covariances is None:
+        return estimate.message
+    skipped = int(np.isnan(_nees(dataset, series)[0]).sum())
+    note = f"NEES skipped at {skipped} of {dataset.poses} poses (singular covariance)"
+    return "; ".join(filter(None, [estimate.message, note if skipped else ""]))
 
 
 def _landmark_nees(landmarks: LandmarkEstimates, truth: Array) -> Array:
