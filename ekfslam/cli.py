@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -43,6 +43,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+WIDE = 150  # columns that a table may take
+
 Seed = Annotated[int, typer.Option(help="Seed of simulated data.", min=0)]
 
 
@@ -51,10 +53,21 @@ def main() -> None:
     from ekfslam.errors import EkfslamError
 
     try:
-        app(standalone_mode=True)
+        status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except EkfslamError as error:
-        print(f"ekfslam: {error}", file=sys.stderr)
-        sys.exit(2)
+        _refuse(str(error))
+    except (KeyboardInterrupt, typer.Abort):
+        sys.exit(130)
+    except Exception as error:
+        if not hasattr(error, "format_message"):  # what the parser itself refuses has one
+            raise
+        _refuse(f"{error.format_message()} (ekfslam --help)")
+    sys.exit(status or 0)
+
+
+def _refuse(message: str) -> NoReturn:
+    print(f"ekfslam: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(2)
 
 
 def _version(wanted: bool) -> None:
@@ -91,7 +104,7 @@ def compare(
     align: Annotated[
         str, typer.Option(help="none, or se2: align position and heading before errors.")
     ] = "none",
-    rpe_distance: Annotated[float, typer.Option(help="Length of relative errors [m].")] = 10.0,
+    rpe_distance: Annotated[float, typer.Option(help=r"Length of relative errors \[m].")] = 10.0,
     data: Annotated[
         Path | None,
         typer.Option(help="Where the files of a recorded set lie.", show_default=False),
@@ -164,15 +177,21 @@ def simulate(
 
       ekfslam simulate park --seed 7 --out park-7.npz
     """
+    from ekfslam.errors import InputError
+    from ekfslam.experiments.compare import check_folder
     from ekfslam.export import write_g2o
     from ekfslam.simulation import simulate as draw
 
+    if out.suffix != ".npz":
+        raise InputError(f"{out}: a dataset file ends in .npz")
+    for path in filter(None, (out, g2o)):
+        check_folder(path.parent, missing=False)
     dataset = draw(scenario, seed=seed, noise=noise)
-    dataset.save(out)
     written = [str(out)]
-    if g2o is not None:
+    if g2o is not None:  # first: it can be refused for what the dataset holds
         write_g2o(dataset, g2o)
         written.append(str(g2o))
+    dataset.save(out)
     print(
         f"{dataset.name}: {dataset.poses} poses, {len(dataset.observations)} observations "
         f"-> {', '.join(written)}"
@@ -193,12 +212,15 @@ def datasets() -> None:
 @app.command()
 def estimators() -> None:
     """What there is to compare; packages join by the entry-point group `ekfslam.estimators`."""
-    from ekfslam.registry import registered
+    from ekfslam import registry
 
     rows = []
-    for name, point in registered().items():
-        doc = (point.load().__doc__ or "").strip().splitlines()
-        rows.append((name, f"{doc[0] if doc else ''} ({point.value})"))
+    for name, point in registry.registered().items():
+        try:
+            doc = (point.load().__doc__ or "").strip().partition("\n")[0]
+        except Exception as error:
+            doc = f"cannot be loaded: {error}"
+        rows.append((name, f"{doc} ({point.value})"))
     _print_list(rows)
 
 
@@ -206,10 +228,13 @@ def estimators() -> None:
 
 
 def _console() -> Any:
+    from shutil import get_terminal_size
+
     from rich.console import Console
 
-    # A pipe or a file has no width: give the tables the room they need.
-    return Console() if sys.stdout.isatty() else Console(width=150)
+    # Never cut a number off: a table that is wider than the terminal is for it to wrap.
+    width = max(WIDE, get_terminal_size().columns) if sys.stdout.isatty() else WIDE
+    return Console(width=width)
 
 
 def _print_list(rows: list[tuple[str, str]]) -> None:

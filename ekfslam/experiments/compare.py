@@ -164,8 +164,14 @@ class Comparison:
         return self.summary.to_html(index=False, na_rep="")
 
 
-def check_folder(folder: str | Path) -> None:
+def check_folder(folder: str | Path, missing: bool = True) -> None:
     """Refuse a folder that cannot be written to, before hours of work depend on it.
+
+    Parameters
+    ----------
+    folder : path
+    missing : bool
+        Whether it may be missing, and be made later.
 
     Raises
     ------
@@ -173,10 +179,10 @@ def check_folder(folder: str | Path) -> None:
         If it is a file, or neither it nor the nearest folder above can be written to.
     """
     place = Path(folder).absolute()
-    while not place.exists():
+    while missing and not place.exists():
         place = place.parent
     if not place.is_dir():
-        raise InputError(f"cannot write to {folder}: {place} is not a folder")
+        raise InputError(f"cannot write to {folder}: there is no folder {place}")
     if not os.access(place, os.W_OK):
         raise InputError(f"cannot write to {folder}: permission denied")
 

@@ -43,6 +43,6 @@ def open_dataset(
         return Dataset.load(name)
     if name in scenarios() or name.endswith(".toml"):
         return simulate(name, seed=seed)
-    if Path(name).exists():
+    if name and Path(name).exists():
         raise InputError(f"{name}: a dataset file ends in .npz, a scenario file in .toml")
     raise UnknownNameError("dataset", name, [*scenarios(), *RECORDED])

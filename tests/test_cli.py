@@ -1,0 +1,448 @@
+"""The command as a user meets it: what it prints, what it leaves, and how it refuses."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import ekfslam
+from ekfslam.cli import main
+from ekfslam.evaluation import tables
+
+HEAVY = ("numpy", "pandas", "scipy", "matplotlib", "numba", "gtsam")
+# What a shell may set to force colours into a pipe.
+PLAIN = {"PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/"), "TERM": "xterm"}
+
+
+@dataclass
+class Run:
+    """What a command printed, and its exit status."""
+
+    out: str
+    err: str
+    status: int
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working folder of its own; nothing that forces colours."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    for name in ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS", "TERMINAL_WIDTH", "COLUMNS"):
+        monkeypatch.delenv(name, raising=False)
+    return tmp_path
+
+
+@pytest.fixture
+def command(folder, monkeypatch, capsys):
+    """Run the command in this process."""
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["ekfslam", *map(str, words)])
+        status = 0
+        try:
+            main()
+        except SystemExit as stop:
+            status = stop.code or 0
+        printed = capsys.readouterr()
+        assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f\x9b]", printed.out + printed.err)
+        return Run(printed.out, printed.err, status)
+
+    return run
+
+
+SMALL = """
+description = "Straight on past five landmarks."
+[world]
+kind = "points"
+landmarks = [[2, 1], [3, -2], [4, 3], [6, -4], [9, 3]]
+[path]
+kind = "controls"
+start = [0, 0, 0]
+controls = [[0.2, 0]]
+repeat = 12
+[motion]
+kind = "advance-turn"
+sigmas = [0.02, "1 deg"]
+[[sensors]]
+kind = "range-bearing"
+sigmas = [0.1, "2 deg"]
+"""
+
+
+@pytest.fixture
+def small(folder):
+    """A scenario file that is quick to run."""
+    path = folder / "small.toml"
+    path.write_text(SMALL)
+    return path
+
+
+# Help -------------------------------------------------------------------------------------------
+
+
+def test_help_opens_with_worked_examples(command):
+    shown = command("--help")
+    assert shown.status == 0
+    assert shown.err == ""
+    lines = [line.strip() for line in shown.out.splitlines()]
+    first = next(i for i, line in enumerate(lines) if line.startswith("ekfslam compare"))
+    assert first < next(i for i, line in enumerate(lines) if "Options" in line)
+    examples = [line for line in lines if line.startswith("ekfslam ")]
+    assert {line.split()[1] for line in examples} >= {"compare", "check", "simulate"}
+    for name in ("compare", "check", "simulate", "datasets", "estimators"):
+        assert re.search(rf"│ {name} ", shown.out)
+
+
+@pytest.mark.parametrize("name", ["compare", "check", "simulate"])
+def test_help_of_a_command(command, name):
+    shown = command(name, "-h")
+    assert shown.status == 0
+    assert f"ekfslam {name} " in shown.out.split("Arguments")[0].split("Example")[1]
+
+
+def test_units_survive_in_the_help(command):
+    shown = " ".join(re.sub("[│╭╮╰╯─]", " ", command("compare", "-h").out).split())
+    assert "Length of relative errors [m]." in shown
+
+
+def test_version(command):
+    shown = command("--version")
+    assert (shown.out, shown.status) == (f"ekfslam {ekfslam.__version__}\n", 0)
+
+
+def test_without_words_it_helps(command):
+    assert "ekfslam compare" in command().out
+
+
+@pytest.mark.parametrize("words", [["--help"], ["compare", "--help"], ["--version"], ["bogus"]])
+def test_nothing_heavy_is_imported_before_it_is_needed(words):
+    script = (
+        "import sys\nfrom ekfslam.cli import main\n"
+        f"sys.argv = ['ekfslam', *{words!r}]\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        f"print('loaded:', [m for m in {HEAVY!r} if m in sys.modules])"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=PLAIN, check=True
+    )
+    assert run.stdout.splitlines()[-1] == "loaded: []"
+
+
+def test_the_installed_command_and_the_module_are_the_same():
+    command = os.path.join(os.path.dirname(sys.executable), "ekfslam")
+    for words in ([command], [sys.executable, "-m", "ekfslam.cli"]):
+        run = subprocess.run(
+            [*words, "compare", "nowhere"], capture_output=True, text=True, env=PLAIN, check=False
+        )
+        assert run.returncode == 2
+        assert run.stdout == ""
+        assert run.stderr.startswith("ekfslam: unknown dataset 'nowhere'")
+        assert run.stderr.count("\n") == 1
+
+
+# What there is ----------------------------------------------------------------------------------
+
+
+def test_datasets(command):
+    shown = command("datasets")
+    assert shown.status == 0
+    for words in ("cloister", "loop-15", "park", "victoria-park", "60 landmarks", "6969 poses"):
+        assert words in shown.out
+
+
+def test_estimators(command):
+    shown = command("estimators")
+    assert shown.status == 0
+    for words in ("ekf", "gtsam-batch", "gtsam-isam2", "dead-reckoning", "baselines.batch"):
+        assert words in shown.out
+
+
+def test_an_estimator_that_cannot_be_loaded_is_listed_with_the_reason(command, monkeypatch):
+    from importlib.metadata import EntryPoint
+
+    from ekfslam import registry
+
+    broken = EntryPoint("broken", "absent_dependency:Thing", registry.GROUP)
+    known = registry.registered()
+    monkeypatch.setattr(registry, "registered", lambda: {**known, "broken": broken})
+    shown = command("estimators")
+    assert shown.status == 0
+    assert re.search("broken .*absent_dependency", shown.out)
+    assert "gtsam-batch" in shown.out
+
+
+# compare ----------------------------------------------------------------------------------------
+
+
+def test_compare_shows_the_summary_dataset_by_dataset(command, small):
+    shown = command("compare", small, "loop-15", "--seed", 3, "--estimators", "ekf,dead-reckoning")
+    assert shown.status == 0
+    assert shown.err == ""
+    first, second = (shown.out.index(f"{name}, seed 3: ") for name in ("small", "loop-15"))
+    assert first < second
+    assert "small, seed 3: 13 poses, 60 observations, 5 landmarks" in shown.out
+    table = shown.out[second:].splitlines()
+    rows = [line.split() for line in table if line.strip()]
+    assert ["ekf", "online", "ok"] in [row[:3] for row in rows]
+    assert ["dead-reckoning", "online", "ok"] in [row[:3] for row in rows]
+    data = ekfslam.simulate("loop-15", seed=3)
+    summary = ekfslam.compare(data, "ekf").summary.iloc[0]
+    shown_row = next(row for row in rows if row[0] == "ekf")
+    assert float(shown_row[3]) == pytest.approx(summary["ate_position_rmse_m"], rel=6e-3)
+    assert sorted(path.name for path in small.parent.iterdir()) == ["small.toml"]
+
+
+def test_compare_writes_what_python_would(command, small):
+    shown = command("compare", small, "--estimators", "ekf", "--out", "deep/out", "--no-figures")
+    assert shown.status == 0
+    out = small.parent / "deep" / "out"
+    names = ["config.json", *(f"{name}.csv" for name in sorted(tables.SCHEMAS))]
+    assert sorted(path.name for path in out.iterdir()) == sorted(names)
+    assert all(name in shown.out for name in names)
+    again = ekfslam.compare(str(small), "ekf")
+    pd.testing.assert_frame_equal(
+        tables.read_csv("trajectories", out / "trajectories.csv").drop(columns="time_step_s"),
+        again.trajectories.drop(columns="time_step_s"),
+    )
+
+
+def test_compare_draws_into_the_folder(command, small):
+    shown = command("compare", small, "--estimators", "ekf", "--out", "out")
+    assert shown.status == 0
+    for figure in ("map", "errors", "consistency", "times"):
+        assert (small.parent / "out" / f"small-{figure}.png").stat().st_size
+        assert (small.parent / "out" / f"small-{figure}.pdf").stat().st_size
+
+
+def test_options_reach_the_comparison(command, small):
+    words = ["--estimators", "dead-reckoning", "--align", "se2", "--rpe-distance", "1.5"]
+    assert command("compare", small, *words, "--out", "out", "--no-figures").status == 0
+    row = tables.read_csv("summary", small.parent / "out" / "summary.csv").iloc[0]
+    assert row["alignment"] == "se2"
+    assert '"rpe_distance_m": 1.5' in (small.parent / "out" / "config.json").read_text()
+
+
+def test_failures_are_rows_with_their_reason(command, small):
+    (small.parent / "broken.py").write_text(
+        "class Broken:\n    def estimate(self, dataset):\n"
+        "        raise ValueError('a [red]word[/red]')\n"
+    )
+    shown = command("compare", small, "--estimators", "broken:Broken,ekf")
+    assert shown.status == 0
+    assert re.search(r"Broken +failed", shown.out)
+    assert "Broken: ValueError: a [red]word[/red]" in shown.out
+    assert re.search(r"ekf +online +ok", shown.out)
+
+
+@pytest.mark.parametrize(
+    "words", ["compare small.toml --estimators ekf,gtsam-batch", "check dead-reckoning"]
+)
+def test_a_narrow_terminal_shows_every_number(words, small):
+    """Drawn at 80 columns as on a terminal, and nothing is cut off."""
+    pty = pytest.importorskip("pty")
+    here, there = pty.openpty()
+    run = subprocess.Popen(
+        [sys.executable, "-m", "ekfslam.cli", *words.split()],
+        cwd=small.parent,
+        stdout=there,
+        stderr=subprocess.DEVNULL,
+        env={**PLAIN, "COLUMNS": "80"},
+    )
+    os.close(there)
+    shown = b""
+    try:
+        while part := os.read(here, 65536):
+            shown += part
+    except OSError:
+        pass  # the other end is closed
+    os.close(here)
+    assert run.wait() == 0
+    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.decode())
+    assert words.split()[-1].rpartition(",")[2] in text
+    assert "…" not in text
+
+
+# simulate ---------------------------------------------------------------------------------------
+
+
+def test_simulate_writes_a_dataset_that_compare_reads(command, small):
+    shown = command("simulate", small, "--seed", 5, "--out", "run.npz", "--g2o", "run.g2o")
+    assert shown.status == 0
+    assert "13 poses, 60 observations" in shown.out
+    assert "run.npz" in shown.out
+    data = ekfslam.load("run.npz")
+    drawn = ekfslam.simulate(str(small), seed=5)
+    np.testing.assert_array_equal(data.observations.values, drawn.observations.values)
+    assert (small.parent / "run.g2o").read_text().count("EDGE_SE2_XY") == 60
+    assert "small, seed 5: 13 poses" in command("compare", "run.npz", "--estimators", "ekf").out
+
+
+def test_simulate_scales_the_noise(command, small):
+    command("simulate", small, "--noise", 0, "--out", "clean.npz")
+    data = ekfslam.load("clean.npz")
+    estimate = ekfslam.estimate(data, "dead-reckoning")
+    np.testing.assert_allclose(estimate.online.poses, data.truth, atol=1e-12)
+
+
+# check ------------------------------------------------------------------------------------------
+
+
+def test_check_shows_every_rung_and_passes(command):
+    shown = command("check", "ekf")
+    assert shown.status == 0
+    lines = [line for line in shown.out.splitlines() if re.match(r" ?\d ", line)]
+    assert [int(line.split()[0]) for line in lines] == [1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
+    assert all(" pass " in line for line in lines)
+    for words in ("cloister", "loop-15", "<= 1e-09", ">= 1.7", "gaps "):
+        assert words in shown.out
+    assert shown.out.splitlines()[-1] == "passed"
+
+
+def test_check_fails_with_status_1(command, folder):
+    (folder / "shaky.py").write_text(
+        "from dataclasses import replace\nimport ekfslam\n"
+        "from ekfslam.estimates import Trajectory\n"
+        "class Shaky:\n    def estimate(self, dataset):\n"
+        "        good = ekfslam.Ekf().estimate(dataset)\n"
+        "        return replace(good, online=Trajectory(good.online.poses + 1e-6))\n"
+    )
+    shown = command("check", "shaky:Shaky")
+    assert shown.status == 1
+    assert shown.out.splitlines()[-1] == "FAILED"
+    assert "fail " in shown.out
+    assert "does not apply" in shown.out
+    assert "linearizations(dataset)" in " ".join(shown.out.split())
+
+
+# Mistakes ---------------------------------------------------------------------------------------
+
+
+MISTAKES = {
+    "a dataset that nobody knows": ("compare clojster", "did you mean cloister"),
+    "an estimator that nobody knows": ("compare cloister --estimators efk", "did you mean ekf"),
+    "a module that is not there": ("compare cloister --estimators no_module:X", "no_module"),
+    "an attribute that is not there": ("compare cloister --estimators os:Absent", "Absent"),
+    "something that is no estimator": ("compare cloister --estimators os:getcwd", "no estimator"),
+    "no estimator": ("compare cloister --estimators ,", "nothing to compare"),
+    "a missing dataset file": ("compare absent.npz", "absent.npz: no such file"),
+    "a missing scenario file": ("compare absent.toml", "absent.toml: no such file"),
+    "a damaged dataset file": ("compare garbage.npz", "garbage.npz: damaged"),
+    "a cut dataset file": ("compare cut.npz", "cut.npz: damaged"),
+    "nan in a dataset file": ("compare nan.npz", "nan.npz.*NaN"),
+    "another record": ("compare estimate.npz", "estimate.npz: holds"),
+    "a damaged scenario file": ("compare garbage.toml", "garbage.toml.*line 2"),
+    "a scenario with nan": ("compare nan.toml", "nan.toml.*NaN"),
+    "a misspelt key": ("compare misspelt.toml", "did you mean repeat"),
+    "a folder": ("compare .", r"\.npz"),
+    "another file": ("compare notes.txt", r"notes.txt.*\.npz"),
+    "nothing": ("compare ''", "''|unknown"),
+    "an alignment that nobody knows": ("compare cloister --align sim3", "alignment 'sim3'"),
+    "no distance": ("compare cloister --rpe-distance 0", "rpe_distance"),
+    "no number": ("compare cloister --rpe-distance nan", "rpe_distance"),
+    "the same dataset twice": ("compare cloister cloister", "same name"),
+    "the same estimator twice": ("compare cloister --estimators ekf,ekf", "two estimators"),
+    "a path for a scenario": ("compare cloister --data .", "recorded"),
+    "no recorded file": ("compare victoria-park --data absent", "absent"),
+    "a damaged recorded file": ("compare victoria-park --data graph.txt", "graph.txt, line 2"),
+    "an output that is a file": ("compare small.toml --out notes.txt", "notes.txt"),
+    "an output below a file": ("compare small.toml --out notes.txt/out", "notes.txt"),
+    "a negative seed": ("compare cloister --seed -1", "--seed"),
+    "a seed that is no number": ("compare cloister --seed one", "--seed"),
+    "an option that nobody knows": ("compare cloister --sed 1", "--sed"),
+    "a command that nobody knows": ("compar cloister", "compar"),
+    "nothing to check": ("check", "estimator"),
+    "nobody to check": ("check efk", "did you mean ekf"),
+    "no output": ("simulate small.toml", "--out"),
+    "a scenario that nobody knows": ("simulate clojster --out run.npz", "did you mean cloister"),
+    "an output in no folder": ("simulate small.toml --out absent/run.npz", "absent/run.npz"),
+    "an output that compare could not read": ("simulate small.toml --out run.txt", r"\.npz"),
+    "negative noise": ("simulate small.toml --noise -1 --out run.npz", "noise"),
+    "noise that is no number": ("simulate small.toml --noise nan --out run.npz", "noise"),
+    "what g2o cannot say": ("simulate loop-15 --out run.npz --g2o run.g2o", "singular"),
+    "a graph in no folder": ("simulate small.toml --out run.npz --g2o absent/run.g2o", "absent"),
+}
+
+
+@pytest.fixture
+def traps(small, folder):
+    """Files with something wrong in each."""
+    (folder / "notes.txt").write_text("precious\n")
+    (folder / "garbage.npz").write_bytes(b"\x93garbage" * 40)
+    (folder / "garbage.toml").write_text("[world]\nkind = \n")
+    (folder / "nan.toml").write_text(SMALL.replace("[0.1, ", "[nan, "))
+    (folder / "misspelt.toml").write_text(SMALL.replace("repeat", "repaet"))
+    (folder / "graph.txt").write_text("ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\nLANDMARK 0 nan\n")
+    data = ekfslam.simulate(str(small), seed=1)
+    data.save(folder / "cut.npz")
+    whole = (folder / "cut.npz").read_bytes()
+    (folder / "cut.npz").write_bytes(whole[: len(whole) // 2])
+    ekfslam.estimate(data, "dead-reckoning").save(folder / "estimate.npz")
+    data.save(folder / "nan.npz")
+    with np.load(folder / "nan.npz") as archive:
+        arrays = dict(archive)
+    arrays["observations.values"] = arrays["observations.values"] * np.nan
+    np.savez(folder / "nan.npz", **arrays)
+    return folder
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line_and_leaves_nothing(mistake, command, traps):
+    words, message = MISTAKES[mistake]
+    before = {path: path.read_bytes() for path in traps.rglob("*") if path.is_file()}
+    refused = command(*("" if word == "''" else word for word in words.split()))
+    assert refused.status == 2
+    assert refused.out == ""
+    assert refused.err.startswith("ekfslam: ")
+    assert refused.err.count("\n") == 1
+    assert refused.err.endswith("\n")
+    assert re.search(message, refused.err)
+    assert {path: path.read_bytes() for path in traps.rglob("*") if path.is_file()} == before
+
+
+def test_a_full_disk_is_one_line_too(command, small, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pd.DataFrame, "to_csv", full)
+    refused = command("compare", small, "--estimators", "ekf", "--out", "out")
+    assert refused.status == 2
+    assert refused.err == "ekfslam: cannot write to out: No space left on device\n"
+    monkeypatch.setattr(os, "replace", full)
+    refused = command("simulate", small, "--out", "run.npz", "--g2o", "run.g2o")
+    assert refused.status == 2
+    assert refused.err.count("\n") == 1
+    assert [path.name for path in small.parent.iterdir()] == ["small.toml"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permissions are those of POSIX")
+def test_a_folder_without_permission(command, small, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)  # also true for an administrator
+    refused = command("compare", small, "--estimators", "ekf", "--out", "out")
+    assert (refused.status, refused.out) == (2, "")
+    assert refused.err.count("\n") == 1
+
+
+def test_an_interrupt_is_quiet_and_leaves_nothing(command, small, monkeypatch):
+    (small.parent / "patient.py").write_text(
+        "class Patient:\n    def estimate(self, dataset):\n        raise KeyboardInterrupt\n"
+    )
+    stopped = command("compare", small, "--estimators", "patient:Patient", "--out", "out")
+    assert stopped.status == 130
+    assert stopped.out == ""
+    assert "Traceback" not in stopped.err
+    assert not (small.parent / "out").exists()
+    monkeypatch.setattr("ekfslam.plots.save", interrupted)
+    assert command("compare", small, "--estimators", "ekf", "--out", "out").status == 130
+    assert not (small.parent / "out").exists()
+
+
+def interrupted(*_):
+    raise KeyboardInterrupt
