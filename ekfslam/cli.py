@@ -178,14 +178,14 @@ def simulate(
       ekfslam simulate park --seed 7 --out park-7.npz
     """
     from ekfslam.errors import InputError
-    from ekfslam.experiments.compare import check_folder
     from ekfslam.export import write_g2o
     from ekfslam.simulation import simulate as draw
 
     if out.suffix != ".npz":
         raise InputError(f"{out}: a dataset file ends in .npz")
     for path in filter(None, (out, g2o)):
-        check_folder(path.parent, missing=False)
+        if not path.parent.is_dir():
+            raise InputError(f"cannot write {path}: there is no folder {path.parent}")
     dataset = draw(scenario, seed=seed, noise=noise)
     written = [str(out)]
     if g2o is not None:  # first: it can be refused for what the dataset holds
@@ -291,7 +291,7 @@ def _print_summary(summary: pd.DataFrame) -> None:
         title += (
             f", {first['landmarks_true']} landmarks" if pd.notna(first["landmarks_true"]) else ""
         )
-        table = Table(title=title, title_justify="left", title_style="bold", box=None)
+        table = Table(title=escape(title), title_justify="left", title_style="bold", box=None)
         table.add_column("estimator", no_wrap=True)
         table.add_column("series", no_wrap=True)
         table.add_column("status", no_wrap=True)
@@ -301,7 +301,7 @@ def _print_summary(summary: pd.DataFrame) -> None:
         for _, row in part.iterrows():
             cells = [_text(row[c], form) for c, _, form in columns]
             series = row["series"] if isinstance(row["series"], str) else ""
-            table.add_row(row["estimator"], series, row["status"], *cells)
+            table.add_row(escape(row["estimator"]), series, row["status"], *cells)
         console.print(table)
         for _, row in part.drop_duplicates("estimator").iterrows():
             if isinstance(row["message"], str) and row["message"]:
@@ -318,7 +318,7 @@ def _print_report(report: Report) -> None:
     from rich.table import Table
 
     console = _console()
-    table = Table(title=f"ladder for {report.estimator}", title_justify="left", box=None)
+    table = Table(title=escape(f"ladder for {report.estimator}"), title_justify="left", box=None)
     for heading in ("", "rung", "scenario", "outcome", "measured", "bound"):
         table.add_column(heading, no_wrap=True)
     table.add_column("where")

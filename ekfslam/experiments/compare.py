@@ -164,14 +164,8 @@ class Comparison:
         return self.summary.to_html(index=False, na_rep="")
 
 
-def check_folder(folder: str | Path, missing: bool = True) -> None:
+def check_folder(folder: str | Path) -> None:
     """Refuse a folder that cannot be written to, before hours of work depend on it.
-
-    Parameters
-    ----------
-    folder : path
-    missing : bool
-        Whether it may be missing, and be made later.
 
     Raises
     ------
@@ -179,7 +173,7 @@ def check_folder(folder: str | Path, missing: bool = True) -> None:
         If it is a file, or neither it nor the nearest folder above can be written to.
     """
     place = Path(folder).absolute()
-    while missing and not place.exists():
+    while not place.exists():
         place = place.parent
     if not place.is_dir():
         raise InputError(f"cannot write to {folder}: there is no folder {place}")
@@ -246,11 +240,12 @@ def compare(
             for table, rows in made.items():
                 parts[table].append(rows)
     config = {
-        "datasets": {d.name: {"provenance": d.provenance, "seed": d.seed} for d in opened.values()},
+        "datasets": {name: _described(dataset) for name, dataset in opened.items()},
         "estimators": {name: _options(estimates, name) for name in subjects},
         "seed": seed,
         "alignment": alignment,
         "rpe_distance_m": rpe_distance,
+        "path": None if path is None else str(path),
         "versions": _versions(),
     }
     stacked = {name: tables.concat(name, rows) for name, rows in parts.items()}
@@ -319,6 +314,19 @@ def _call(subject: Estimator, dataset: Dataset, progress: Any) -> Any:
     if progress is not None and "progress" in signature(subject.estimate).parameters:
         return subject.estimate(dataset, progress=progress)  # type: ignore[call-arg]
     return subject.estimate(dataset)
+
+
+def _described(dataset: Dataset) -> dict[str, Any]:
+    """Where a dataset comes from, and the models and noise that it states."""
+    return {
+        "provenance": dataset.provenance,
+        "seed": dataset.seed,
+        "motion": [robot.motion.to_dict() for robot in dataset.robots],
+        "sensors": [  # JSON has no infinity: a range without limit is left out
+            {key: value for key, value in sensor.to_dict().items() if value != float("inf")}
+            for sensor in dataset.sensors
+        ],
+    }
 
 
 def _options(estimates: Mapping[tuple[str, str], Estimate], name: str) -> dict[str, Any]:
