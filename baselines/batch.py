@@ -21,7 +21,6 @@ from baselines.landmark_graph import (
     pose_key,
 )
 from ekfslam.dataset import Dataset
-from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
 from ekfslam.registry import Progress, estimator_name, resolve
 
@@ -72,9 +71,9 @@ class GtsamBatch:
         UnsupportedError
             If the graph cannot be built, see `baselines.landmark_graph`.
         """
-        given = isinstance(self.initial, Estimate)
+        source = ready(self.initial)
         started = time.perf_counter()
-        first = self.initial if given else resolve(self.initial).estimate(dataset)
+        first = source if isinstance(source, Estimate) else source.estimate(dataset)
         named = first.association in ("", "known")  # else it names landmarks as it finds them
         association = Association.known(dataset) if named else Association.of(first)
         problem = LandmarkGraph(dataset, association, self.odometry_floor)
@@ -85,7 +84,8 @@ class GtsamBatch:
             "options": {**asdict(self), "initial": _name(self.initial)},
         }
         if first.final_trajectory is None or not np.isfinite(first.final_trajectory.poses).all():
-            raise UnsupportedError(f"the start, {_name(self.initial)}, is not finite")
+            text = f"the start, {_name(self.initial)}, is not finite"
+            return Estimate(**common, status=FAILED, message=text)
         graph, start = problem.graph(), problem.values(first)
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setRelativeErrorTol(self.relative_tolerance)
@@ -108,6 +108,7 @@ class GtsamBatch:
             notes.insert(0, "stopped at the limit of iterations")
         return Estimate(
             **common,
+            innovations=association.record(),
             smoothed=Trajectory(poses, covariances),
             landmarks=LandmarkEstimates(problem.landmarks, positions, blocks),
             time_total=time_total,
@@ -143,6 +144,15 @@ def in_words(failure: RuntimeError) -> str:
     if variable is None:
         return text
     return f"indeterminate system near {key_name(int(variable[1]))}"
+
+
+def ready(source: Any) -> Any:
+    """An estimate, or the estimator of a name, compiled before any clock starts."""
+    if isinstance(source, Estimate):
+        return source
+    estimator = resolve(source)
+    getattr(estimator, "warm_up", lambda: None)()
+    return estimator
 
 
 def _name(initial: Any) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from baselines.batch import in_words
+from baselines.batch import in_words, ready
 from baselines.landmark_graph import (
     ODOMETRY_FLOOR,
     Association,
@@ -21,7 +21,7 @@ from baselines.landmark_graph import (
 )
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
-from ekfslam.registry import Progress, resolve
+from ekfslam.registry import Progress
 
 
 @dataclass(frozen=True)
@@ -72,16 +72,18 @@ class GtsamIsam2:
         UnsupportedError
             If the graph cannot be built, see `baselines.landmark_graph`.
         """
+        source = None if dataset.association_known else ready(self.association)
         started = time.perf_counter()
-        if dataset.association_known:
+        if source is None:
             association = Association.known(dataset)
         else:
-            association = Association.of(resolve(self.association).estimate(dataset))
+            association = Association.of(source.estimate(dataset))
         problem = LandmarkGraph(dataset, association, self.odometry_floor)
         estimate = Estimate(
             estimator=self.name,
             dataset=dataset.name,
             association=association.name,
+            innovations=association.record(),
             options=asdict(self) | {"association": str(self.association)},
         )
         try:

@@ -27,7 +27,7 @@ from gtsam import noiseModel
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.errors import UnsupportedError
-from ekfslam.estimates import Decision, Estimate
+from ekfslam.estimates import Decision, Estimate, Innovations
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import XY
 
@@ -77,6 +77,17 @@ class Association:
     def known(cls, dataset: Dataset) -> Association:
         """Identities of the dataset."""
         return cls(dataset.sightings.landmark, "known")
+
+    def record(self) -> Innovations:
+        """What a smoother made of each observation: it decides, but it has no innovations."""
+        count = len(self.landmark)
+        _, first = np.unique(self.landmark, return_index=True)
+        decision = np.full(count, Decision.ACCEPTED, dtype=np.int64)
+        decision[first] = Decision.NEW
+        decision[self.landmark < 0] = Decision.REJECTED
+        return Innovations(
+            decision, self.landmark, np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
+        )
 
     @classmethod
     def of(cls, estimate: Estimate) -> Association:

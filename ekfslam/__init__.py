@@ -89,6 +89,10 @@ def estimate(dataset: Dataset, estimator: str | Any = "ekf", **options: Any) -> 
     UnknownNameError, InputError
         For an unknown estimator or option.
     """
+    from ekfslam.dataset import Dataset
+    from ekfslam.errors import InputError
     from ekfslam.registry import resolve
 
+    if not isinstance(dataset, Dataset):
+        raise InputError(f"estimate takes a Dataset, such as simulate('park'), got {dataset!r}")
     return resolve(estimator, **options).estimate(dataset)

@@ -56,6 +56,8 @@ def main() -> None:
         status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except EkfslamError as error:
         _refuse(str(error))
+    except MemoryError as error:
+        _refuse(f"not enough memory: {error}")
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
     except Exception as error:

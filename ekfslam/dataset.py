@@ -6,7 +6,7 @@ observations of step k are taken at pose k.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -118,6 +118,16 @@ class Robot:
         return Increments(*map(_frozen, self.motion.increments(self.controls)))
 
 
+def _told_apart(sensors: Iterable[Sensor]) -> tuple[Sensor, ...]:
+    """The sensors, numbered where they share a name."""
+    sensors = tuple(sensors)
+    names = [sensor.name for sensor in sensors]
+    return tuple(
+        sensor if names.count(sensor.name) == 1 else replace(sensor, name=f"{sensor.name}-{i}")
+        for i, sensor in enumerate(sensors, start=1)
+    )
+
+
 def _frozen(array: np.ndarray) -> np.ndarray:
     array.flags.writeable = False
     return array
@@ -152,6 +162,7 @@ class Dataset:
     times : (K + 1,) array_like
         Strictly increasing times of the poses [s].
     sensors : tuple of Sensor
+        Sensors of the same name are numbered.
     observations : Observations
     known_map : LandmarkMap, optional
         A map that estimators may use.
@@ -185,7 +196,7 @@ class Dataset:
         if not self.robots:
             raise InputError("a dataset needs at least one robot")
         object.__setattr__(self, "robots", tuple(self.robots))
-        object.__setattr__(self, "sensors", tuple(self.sensors))
+        object.__setattr__(self, "sensors", _told_apart(self.sensors))
         times = checked_array(self.times, float, (None,), "times")
         check_finite(times, "times")
         object.__setattr__(self, "times", times)

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ekfslam.checks import check_finite, checked_array
+from ekfslam.checks import check_finite, checked_array, is_covariance
+from ekfslam.errors import InputError
 from ekfslam.geometry import Array
-from ekfslam.models.sensors import Sensor
+from ekfslam.models.sensors import RANGE_BEARING, VIEWS, Sensor
 
 NO_LANDMARK = -1
 
@@ -130,6 +131,37 @@ class Sightings(NamedTuple):
             checked_array(_default(landmark, count, NO_LANDMARK), np.int64, (count,), "landmark"),
             np.zeros(count, dtype=np.int64),
         )
+
+    def checked(self) -> Sightings:
+        """Private contiguous copies of the columns, after a look at what they hold.
+
+        Raises
+        ------
+        InputError
+            If a column has the wrong shape or a value that makes no sense; names it.
+        """
+        count = len(self.values)
+        kind = checked_array(self.kind, np.int64, (count,), "kind")
+        mount = checked_array(self.mount, float, (count, 3), "mount")
+        values = checked_array(self.values, float, (count, 2), "values")
+        covariance = checked_array(self.covariance, float, (count, 2, 2), "covariance")
+        landmark = checked_array(self.landmark, np.int64, (count,), "landmark")
+        look = checked_array(self.look, np.int64, (count,), "look")
+        for name, column in (("mount", mount), ("values", values), ("covariance", covariance)):
+            check_finite(column, name)
+        if not np.isin(kind, [view.code for view in VIEWS.values()]).all():
+            raise InputError("kind holds a code of no view")
+        if ((kind == RANGE_BEARING) & (values[:, 0] < 0)).any():
+            raise InputError("values hold a negative range")
+        if (landmark < NO_LANDMARK).any():
+            raise InputError(f"landmark must not be below {NO_LANDMARK}, which stands for unknown")
+        if not is_covariance(covariance).all():
+            raise InputError("covariance holds a matrix that is not positive semi-definite")
+        known = landmark >= 0
+        pairs = np.column_stack([landmark, look])[known]
+        if len(np.unique(pairs, axis=0)) < len(pairs):
+            raise InputError("one sensor cannot see the same landmark twice at the same instant")
+        return Sightings(*(c.copy() for c in (kind, mount, values, covariance, landmark, look)))
 
     def rows(self, start: int, stop: int) -> Sightings:
         """The rows from start to before stop, as views."""

@@ -440,13 +440,23 @@ def test_stopping_early_is_told():
     assert estimate.message.startswith("stopped at the limit of iterations; 1 iterations from ekf")
 
 
-@pytest.mark.parametrize(
-    ("initial", "said"),
-    [
-        (DeadReckoning(), "dead-reckoning offers nothing to start from"),
-        (Estimate("lost", "small", online=Trajectory(np.full((10, 3), np.nan))), "not finite"),
-    ],
-)
-def test_a_start_that_cannot_be_used(initial, said):
-    with pytest.raises(UnsupportedError, match=said):
-        GtsamBatch(initial=initial).estimate(small((scanner(),)))
+def test_a_start_without_a_map_is_no_start():
+    with pytest.raises(UnsupportedError, match="dead-reckoning offers nothing to start from"):
+        GtsamBatch(initial=DeadReckoning()).estimate(small((scanner(),)))
+
+
+def test_a_start_that_diverged_is_a_failure():
+    lost = Estimate("lost", "small", online=Trajectory(np.full((10, 3), np.nan)))
+    estimate = GtsamBatch(initial=lost).estimate(small((scanner(),)))
+    assert (estimate.status, estimate.message) == (FAILED, "the start, lost, is not finite")
+    assert estimate.smoothed is None
+
+
+def test_a_smoother_says_which_association_it_took():
+    data = replace(small((scanner(),)), true_landmark=None)
+    for estimator in (GtsamBatch(marginals=False), GtsamIsam2(marginals=False)):
+        made = estimator.estimate(data).innovations
+        np.testing.assert_array_equal(made.landmark, data.observations.landmark)
+        first = np.unique(made.landmark, return_index=True)[1]
+        assert set(np.flatnonzero(made.decision == Decision.NEW)) == set(first)
+        assert np.isnan(made.innovation).all()

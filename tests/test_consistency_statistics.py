@@ -380,14 +380,23 @@ def test_gaps_are_distances_and_ratios_of_sigmas(line):
 
 
 def test_landmarks_are_compared_only_where_identities_mean_the_same(line):
-    def gap(ours, theirs):
-        estimate, reference = (estimate_of(line, association=a) for a in (ours, theirs))
+    def made(landmark):
+        count = len(landmark)
+        nan = np.full((count, 2), np.nan)
+        return Innovations(np.zeros(count, int), np.array(landmark), nan, np.zeros((count, 2, 2)))
+
+    def gap(ours, theirs, our_choice=None, their_choice=None):
+        estimate, reference = (
+            replace(estimate_of(line, association=name), innovations=choice and made(choice))
+            for name, choice in ((ours, our_choice), (theirs, their_choice))
+        )
         return gaps(line, estimate, estimate.online, reference).landmark_rmse
 
     assert gap("known", "known") == 0.0
-    assert gap("nearest", "nearest") == 0.0
+    assert gap("nearest", "nearest", [0, 1], [0, 1]) == 0.0
+    assert np.isnan(gap("nearest", "nearest", [0, 1], [1, 0]))
+    assert np.isnan(gap("nearest", "nearest"))  # the name of a method is no identity
     assert np.isnan(gap("nearest", "known"))
-    assert np.isnan(gap("nearest", "joint"))
 
 
 def test_a_reference_without_trajectory_or_sigma_gives_no_numbers(line):

@@ -418,3 +418,52 @@ def test_a_motion_that_makes_no_sense_is_refused_online(increment, covariance):
     with pytest.raises(InputError, match=r"increment|covariance"):
         slam.predict(increment, covariance)
     np.testing.assert_array_equal(slam.pose, 0)
+
+
+# What comes from outside online ------------------------------------------------------------------
+
+
+def look(*values, landmark=None):
+    sensor = Sensor("range-bearing", np.diag([0.01, 0.0001]))
+    return Sightings.of(sensor, np.array(values, dtype=float), landmark)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"covariance": np.zeros((1, 2, 2))}, "covariance must have shape"),
+        ({"mount": np.zeros((1, 3))}, "mount must have shape"),
+        ({"kind": np.zeros(1, int)}, "kind must have shape"),
+        ({"kind": np.array([0, 7])}, "no view"),
+        ({"values": np.array([[1.0, np.nan], [1.0, 0.0]])}, "NaN"),
+        ({"values": np.array([[-1.0, 0.0], [1.0, 0.0]])}, "negative range"),
+        ({"covariance": np.stack([np.diag([1.0, -1.0])] * 2)}, "positive semi-definite"),
+        ({"landmark": np.array([0, -5])}, "landmark"),
+        ({"landmark": np.array([3, 3])}, "twice"),
+    ],
+)
+def test_columns_that_make_no_sense_never_reach_the_compiled_code(change, said):
+    slam = EkfSlam()
+    with pytest.raises(InputError, match=said):
+        slam.observe(look([1, 0], [2, 1], landmark=[0, 1])._replace(**change))
+    assert len(slam.landmarks) == 0
+    with pytest.raises(InputError, match="Sightings"):
+        slam.observe([[1.0, 0.0]])
+
+
+def test_what_failed_leaves_no_landmarks_behind():
+    """New landmarks of a look that could not be used take no index, or the register runs over."""
+    slam = EkfSlam(association="nearest")
+    slam.observe(look([5, 0], [9, 0]))
+    P = slam._slam.arrays.covariance
+    before = P.copy()
+    P[:7, :7] = 0.01 * np.eye(7)
+    P[3, 5] = P[4, 6] = 0.0101  # more than a covariance can hold: the joint S is indefinite
+    seen = look([5, 0], [9, 0], *([40.0 + i, 1.0] for i in range(40)))
+    for _ in range(5):
+        with pytest.raises(InputError, match="positive definite"):
+            slam.observe(seen._replace(covariance=np.zeros((42, 2, 2))))
+        assert slam._register.used[0] == 2
+    slam._slam.arrays.covariance[:7, :7] = before[:7, :7]
+    slam.observe(look([5, 0], [30, 2]))
+    assert len(slam.landmarks) == 3

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ekfslam.checks import checked_number
 from ekfslam.errors import InputError
 
 
@@ -31,7 +32,7 @@ def chi2_gate(probability: float, dof: int) -> float:
     """
     from scipy.special import chdtri
 
-    if not 0 <= probability < 1:
+    if not 0 <= checked_number(probability, "a gate") < 1:
         raise InputError(f"a gate is a probability in [0, 1), got {probability}")
     return float(chdtri(dof, 1.0 - probability))
 
@@ -53,10 +54,10 @@ class Gates:
     new: float = 0.999999
 
     def __post_init__(self) -> None:
+        chi2_gate(self.accept, 2)
+        chi2_gate(self.new, 2)
         if self.new < self.accept:
             raise InputError(
                 f"the gate for new landmarks ({self.new}) must not be below "
                 f"the gate to accept ({self.accept})"
             )
-        chi2_gate(self.accept, 2)
-        chi2_gate(self.new, 2)

@@ -174,14 +174,22 @@ def _landmark_gap(dataset: Dataset, estimate: Estimate, reference: Estimate) -> 
     if estimate.landmarks is None or reference.landmarks is None:
         return float("nan")
     # Identities of an estimator's own mean nothing to another one, unless both took the same.
-    same = estimate.association == reference.association != ""
     if not (
-        same or (identities_shared(dataset, estimate) and identities_shared(dataset, reference))
+        _same_association(estimate, reference)
+        or (identities_shared(dataset, estimate) and identities_shared(dataset, reference))
     ):
         return float("nan")
     rows, others = common_landmarks(estimate.landmarks, reference.landmarks)
     apart = estimate.landmarks.positions[rows] - reference.landmarks.positions[others]
     return rmse(np.hypot(apart[:, 0], apart[:, 1]))
+
+
+def _same_association(estimate: Estimate, reference: Estimate) -> bool:
+    """Whether both took every observation for the same landmark."""
+    ours, theirs = estimate.innovations, reference.innovations
+    return (
+        ours is not None and theirs is not None and np.array_equal(ours.landmark, theirs.landmark)
+    )
 
 
 def _sigma_ratio(variance: float, reference: float) -> float:

@@ -8,7 +8,7 @@ import platform
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from ekfslam.checks import checked_number
 from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
@@ -222,7 +223,7 @@ def compare(
     """
     if alignment not in ("none", "se2"):
         raise UnknownNameError("alignment", alignment, ["none", "se2"])
-    if not (np.isfinite(rpe_distance) and rpe_distance > 0):
+    if not 0 < checked_number(rpe_distance, "rpe_distance") < np.inf:
         raise InputError(f"rpe_distance must be a positive length [m], got {rpe_distance}")
     subjects = _named(_listed(estimators))
     sources = [open_dataset(source, seed, path) for source in _listed(datasets)]
@@ -232,7 +233,12 @@ def compare(
     parts: dict[str, list[pd.DataFrame]] = {name: [] for name in tables.SCHEMAS}
     estimates: dict[tuple[str, str], Estimate] = {}
     for dataset in opened.values():
-        found = {name: _run(name, subject, dataset, watch) for name, subject in subjects.items()}
+        # Increments and columns belong to the data: no estimator's clock counts them.
+        _ = dataset.moves, dataset.sightings, dataset.offsets
+        found = {
+            name: _run(name, subject, dataset, alignment, watch)
+            for name, subject in subjects.items()
+        }
         reference = found.get(REFERENCE)
         for name, estimate in found.items():
             made = _tabulate(dataset, estimate, alignment, rpe_distance, reference)
@@ -253,7 +259,8 @@ def compare(
 
 
 def _listed(value: Any) -> list[Any]:
-    items = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
+    single = isinstance(value, str) or not isinstance(value, Iterable)
+    items = [value] if single else list(value)
     if not items:
         raise InputError("nothing to compare: give at least one dataset and one estimator")
     return items
@@ -270,7 +277,9 @@ def _named(estimators: list[Any]) -> dict[str, Estimator]:
     return subjects
 
 
-def _run(name: str, subject: Estimator, dataset: Dataset, watch: Watch | None) -> Estimate:
+def _run(
+    name: str, subject: Estimator, dataset: Dataset, alignment: str, watch: Watch | None
+) -> Estimate:
     """The estimate, or a record that says why there is none."""
     progress = None
     if watch is not None:
@@ -283,7 +292,8 @@ def _run(name: str, subject: Estimator, dataset: Dataset, watch: Watch | None) -
         estimate = _call(subject, dataset, progress)
         if not isinstance(estimate, Estimate):
             raise TypeError(f"estimate(dataset) returned {type(estimate).__name__}, not Estimate")
-        estimate = judged(dataset, replace(estimate, estimator=name, dataset=dataset.name))
+        named = replace(estimate, estimator=name, dataset=dataset.name)
+        estimate = judged(dataset, named, alignment)
         _tabulate(dataset, estimate)  # what cannot be tabulated is no estimate
         return estimate
     except UnsupportedError as reason:

@@ -88,6 +88,10 @@ class Ekf:
         """
         return self._run(dataset, progress)[0]
 
+    def warm_up(self) -> None:
+        """Compile, or load from disk, so that no clock has to count it."""
+        _warm_up()
+
     def linearizations(self, dataset: Dataset) -> tuple[Estimate, Linearizations]:
         """Estimate a dataset and tell every linearisation that was used.
 
@@ -125,7 +129,10 @@ class Ekf:
         _warm_up()
         started = time.perf_counter()
         deltas, covariances = (array.copy() for array in dataset.moves)
-        offsets, sightings = dataset.offsets.copy(), _writable(dataset.sightings)
+        offsets, sightings = (
+            dataset.offsets.copy(),
+            Sightings(*(c.copy() for c in dataset.sightings)),
+        )
         ids, codes = np.unique(sightings.landmark, return_inverse=True)
         codes = codes - np.searchsorted(ids, 0)  # no identity becomes -1
         ids = ids[ids >= 0]
@@ -186,6 +193,7 @@ class EkfSlam:
     prior : Prior
         Of the first pose; the default is exactly the origin.
     association : {"known", "nearest"}
+        "nearest" where observations come without identities.
     update : {"joint", "sequential"}
     accept, new : float
         As for `Ekf`.
@@ -208,6 +216,8 @@ class EkfSlam:
         accept: float = Gates.accept,
         new: float = Gates.new,
     ) -> None:
+        if prior is not None and not isinstance(prior, Prior):
+            raise InputError(f"prior must be a Prior(mean, covariance), got {prior!r}")
         self._settings = _settings(association, update, accept, new)
         self._slam = GaussianMap(prior or Prior())
         self._register = _register(len(self._slam.arrays.mean))
@@ -249,22 +259,21 @@ class EkfSlam:
         Raises
         ------
         InputError
-            If a landmark is in it twice, or the innovation covariance is not positive definite.
+            If a column makes no sense, or the innovation covariance is not positive definite; what
+            was seen before that look has then been used.
         """
-        count = len(observations.values)
-        pairs = np.column_stack([observations.landmark, observations.look])
-        pairs = pairs[pairs[:, 0] >= 0]
-        if len(np.unique(pairs, axis=0)) < len(pairs):
-            raise InputError("one sensor cannot see the same landmark twice at the same instant")
+        if not isinstance(observations, Sightings):
+            raise InputError("observations must be Sightings, such as Sightings.of(sensor, values)")
+        seen = observations.checked()
+        count = len(seen.values)
         self._slam.reserve(self._slam.size + POINT * count)
-        self._register = _grown(
-            self._register, max(len(self._slam.arrays.mean), len(self._ids) + count)
-        )
+        indices = max(len(self._ids), int(self._register.used[0])) + count
+        self._register = _grown(self._register, max(len(self._slam.arrays.mean), indices))
         codes = [
             self._ids.setdefault(int(i), len(self._ids)) if i >= 0 else -1
-            for i in observations.landmark
+            for i in seen.landmark.tolist()
         ]
-        seen = _writable(observations)._replace(landmark=np.array(codes, dtype=np.int64))
+        seen = seen._replace(landmark=np.array(codes, dtype=np.int64))
         log = _log(1, count)
         nis, _ = observe(self._slam.arrays, self._register, seen, 0, count, self._settings, log)
         if np.isnan(nis):
@@ -335,19 +344,6 @@ def _log(steps: int, rows: int) -> Log:
         S=np.full((rows, 2, 2), np.nan),
         H=np.full((rows, 2, 5), np.nan),
         point=np.full((rows, 5), np.nan),
-    )
-
-
-def _writable(sightings: Sightings) -> Sightings:
-    """Contiguous private copies: one type for the compiler, whatever the caller holds."""
-    kind, mount, values, covariance, landmark, look = sightings
-    return Sightings(
-        np.array(kind, dtype=np.int64),
-        np.array(mount, dtype=float),
-        np.array(values, dtype=float),
-        np.array(covariance, dtype=float),
-        np.array(landmark, dtype=np.int64),
-        np.array(look, dtype=np.int64),
     )
 
 

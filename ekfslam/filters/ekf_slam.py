@@ -129,9 +129,11 @@ def observe(slam, register, sightings, first, last, settings, log):  # type: ign
         end = first + 1
         while end < last and sightings.look[end] == sightings.look[first]:
             end += 1
+        used = register.used[0]
         associate(slam, register, sightings, first, end, settings, log)
         nis, dof = update(slam, register, sightings, first, end, settings, log)
         if np.isnan(nis):
+            register.used[0] = used  # the new landmarks of this look will not be mapped
             return nis, rows
         extend(slam, register, sightings, first, end, log)
         total += nis

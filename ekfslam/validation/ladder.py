@@ -79,7 +79,9 @@ class Report:
         return self.table.to_html(index=False)
 
 
-def check(estimator: str | Any, scenarios: Sequence[str] = SCENARIOS, seed: int = 1) -> Report:
+def check(
+    estimator: str | Any, scenarios: str | Sequence[str] = SCENARIOS, seed: int = 1
+) -> Report:
     """Run the ladder on an estimator.
 
     1. Jacobians equal central differences (needs ``linearizations``, see below).
@@ -93,7 +95,7 @@ def check(estimator: str | Any, scenarios: Sequence[str] = SCENARIOS, seed: int 
     estimator : str or object
         A registered name, ``module:Class``, or an object with ``estimate(dataset)``. Rungs 1 and 3
         ask for a method ``linearizations(dataset) -> (Estimate, Linearizations)``.
-    scenarios : sequence of str
+    scenarios : str or sequence of str
         Simulated scenarios, with known association.
     seed : int
         Of their draws.
@@ -108,7 +110,8 @@ def check(estimator: str | Any, scenarios: Sequence[str] = SCENARIOS, seed: int 
         For an estimator or a scenario that cannot be found.
     """
     subject = resolve(estimator)
-    datasets = {name: simulate(name, seed=seed) for name in scenarios}
+    names = [scenarios] if isinstance(scenarios, str) else scenarios
+    datasets = {name: simulate(name, seed=seed) for name in names}
     found = []
     for number, (name, bound, measure) in enumerate(rungs.LADDER, start=1):
         for scenario, dataset in datasets.items():
