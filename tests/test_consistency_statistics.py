@@ -379,6 +379,14 @@ def test_gaps_are_distances_and_ratios_of_sigmas(line):
     np.testing.assert_allclose(own, [0, 0, 0, 1, 1], atol=1e-15)
 
 
+def test_a_zero_with_rounding_on_it_is_a_zero():
+    """The first step of a motion noise of rank two, turned through a frame and back."""
+    covariance = np.diag([2e-4, 1e-20, 3e-3])
+    error = np.array([0.01, 1e-5, 0.05])  # the small one is of second order in the others
+    assert np.isnan(squared_mahalanobis(error, covariance))
+    assert np.isfinite(squared_mahalanobis(error, np.diag([2e-4, 1e-12, 3e-3])))
+
+
 def test_landmarks_are_compared_only_where_identities_mean_the_same(line):
     def made(landmark):
         count = len(landmark)

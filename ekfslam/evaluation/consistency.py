@@ -26,6 +26,9 @@ from ekfslam.geometry import Array
 SINGULAR = 1e-10
 """Reciprocal condition number of the correlation matrix up to which a covariance is singular."""
 
+NEGLIGIBLE = 1e-14
+"""A variance this small beside the largest one is a zero with rounding on it."""
+
 LOST_SIGMAS, LOST_SHARE = 10.0, 0.05
 """A final position off by more than both so many sigmas and this share of the path is lost."""
 
@@ -36,10 +39,10 @@ ROUND_OFF = float(np.sqrt(np.finfo(float).eps))
 def squared_mahalanobis(errors: ArrayLike, covariances: ArrayLike) -> Array:
     """``e' P^-1 e``, skipped where P cannot be inverted in earnest.
 
-    P is scaled to its correlation matrix, so units do not matter. It is skipped if a value is not
-    finite, a variance is not positive, or the smallest eigenvalue of the correlation matrix is not
-    above `SINGULAR` times the largest: the first steps after an exactly known start, or a motion
-    noise of lower rank.
+    P is scaled to its correlation matrix, so units hardly matter. It is skipped if a value is not
+    finite, a variance is not above `NEGLIGIBLE` times the largest, or the smallest eigenvalue of the
+    correlation matrix is not above `SINGULAR` times the largest: the first steps after an exactly
+    known start, or a motion noise of lower rank.
 
     Parameters
     ----------
@@ -57,7 +60,9 @@ def squared_mahalanobis(errors: ArrayLike, covariances: ArrayLike) -> Array:
     covariances = np.broadcast_to(covariances, (*result.shape, *covariances.shape[-2:]))
     variances = np.diagonal(covariances, axis1=-2, axis2=-1)
     sound = np.isfinite(errors).all(axis=-1) & np.isfinite(covariances).all(axis=(-2, -1))
-    sound &= (variances > 0).all(axis=-1)
+    with np.errstate(invalid="ignore"):
+        floor = NEGLIGIBLE * np.max(variances, axis=-1, initial=0.0, keepdims=True)
+        sound &= (variances > floor).all(axis=-1)
     sigmas = np.sqrt(variances[sound])
     correlation = covariances[sound] / (sigmas[:, :, None] * sigmas[:, None, :])
     eigenvalues, vectors = np.linalg.eigh(correlation)
