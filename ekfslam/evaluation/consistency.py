@@ -41,8 +41,8 @@ def squared_mahalanobis(errors: ArrayLike, covariances: ArrayLike) -> Array:
 
     P is scaled to its correlation matrix, so units hardly matter. It is skipped if a value is not
     finite, a variance is not above `NEGLIGIBLE` times the largest, or the smallest eigenvalue of
-    the correlation matrix is not above `SINGULAR` times the largest: the first steps after an exactly
-    known start, or a motion noise of lower rank.
+    the correlation matrix is not above `SINGULAR` times the largest: the first steps after an
+    exactly known start, or a motion noise of lower rank.
 
     Parameters
     ----------
