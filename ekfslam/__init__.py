@@ -54,7 +54,7 @@ def __dir__() -> list[str]:
     return sorted([*globals(), *_HOMES])
 
 
-def load(source: str | Path, path: str | Path | None = None) -> Dataset:
+def load(source: str | Path, path: str | Path | None = None, **options: Any) -> Dataset:
     """Load a recorded set by name, or a dataset file (``.npz``).
 
     Parameters
@@ -62,14 +62,25 @@ def load(source: str | Path, path: str | Path | None = None) -> Dataset:
     source : str or path
     path : path, optional
         Where the files of a recorded set lie, if they do not come with a package.
+    **options
+        Of the loader of a recorded set, such as ``odometry_sigmas=(0.05, 0.05, 0.005)`` for
+        ``victoria-park``.
 
     Raises
     ------
-    UnknownNameError, FileFormatError
-        For what cannot be found or read.
+    UnknownNameError, FileFormatError, InputError
+        For what cannot be found or read, or an option that there is not.
     """
+    from ekfslam.datasets import RECORDED, load_recorded
+    from ekfslam.errors import InputError
     from ekfslam.experiments.sources import open_dataset
 
+    if str(source) in RECORDED:
+        return load_recorded(str(source), path, **options)
+    if options:
+        raise InputError(
+            f"options {', '.join(options)} are for recorded datasets, not for {source}"
+        )
     return open_dataset(source, path=path)
 
 

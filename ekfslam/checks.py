@@ -12,6 +12,12 @@ from ekfslam.errors import InputError
 ROUNDING = 1e-9  # of a matrix that should be symmetric or positive semi-definite, relative
 
 
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """The same array, made read-only."""
+    array.flags.writeable = False
+    return array
+
+
 def checked_number(value: Any, name: str) -> float:
     """A number; NaN and infinity are for the caller to judge.
 
@@ -58,8 +64,7 @@ def checked_array(value: Any, dtype: Any, shape: tuple[int | None, ...], name: s
         wanted = ", ".join("n" if want is None else str(want) for want in shape)
         wanted += "," if len(shape) == 1 else ""
         raise InputError(f"{name} must have shape ({wanted}), got {array.shape}")
-    array.flags.writeable = False
-    return array
+    return frozen(array)
 
 
 def check_finite(array: NDArray[Any], name: str) -> None:
@@ -91,9 +96,7 @@ def checked_covariance(matrix: Any, size: int, name: str) -> NDArray[np.float64]
     if not is_covariance(given[None])[0]:
         what = "symmetric" if np.abs(given - given.T).max() > 0 else "positive semi-definite"
         raise InputError(f"{name} is not {what}")
-    result = 0.5 * (given + given.T)
-    result.flags.writeable = False
-    return result
+    return frozen(0.5 * (given + given.T))
 
 
 def is_covariance(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ observations of step k are taken at pose k.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,107 +15,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ekfslam import geometry as geo
-from ekfslam.checks import check_finite, checked_array, checked_covariance, is_covariance
+from ekfslam.checks import check_finite, checked_array, frozen, is_covariance
 from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import Increments, MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.observations import NO_LANDMARK, Observations, Sightings
+from ekfslam.robots import LandmarkMap, Prior, Robot
 from ekfslam.storage import Reader, Writer
 
 FORMAT = "ekfslam-dataset"
 VERSION = 1
-
-
-@dataclass(frozen=True, eq=False)
-class LandmarkMap:
-    """Point landmarks: identities and positions.
-
-    Parameters
-    ----------
-    ids : (L,) array_like of int
-        Distinct, not negative.
-    positions : (L, 2) array_like
-        In the world [m].
-    """
-
-    ids: np.ndarray
-    positions: Array
-
-    def __post_init__(self) -> None:
-        ids = checked_array(self.ids, np.int64, (None,), "landmark ids")
-        positions = checked_array(self.positions, float, (len(ids), 2), "landmark positions")
-        check_finite(positions, "landmark positions")
-        if (ids < 0).any() or len(np.unique(ids)) != len(ids):
-            raise InputError("landmark ids must be distinct and not negative")
-        object.__setattr__(self, "ids", ids)
-        object.__setattr__(self, "positions", positions)
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """What is known of the first pose.
-
-    Parameters
-    ----------
-    mean : (3,) array_like
-        Pose in the world [m, m, rad].
-    covariance : (3, 3) array_like
-        Additive in (x, y, theta); zero for an exactly known start.
-    """
-
-    mean: Array = field(default_factory=lambda: np.zeros(3))
-    covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
-
-    def __post_init__(self) -> None:
-        mean = checked_array(self.mean, float, (3,), "prior mean")
-        check_finite(mean, "prior mean")
-        object.__setattr__(self, "mean", mean)
-        object.__setattr__(
-            self, "covariance", checked_covariance(self.covariance, 3, "prior covariance")
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Robot:
-    """One robot: how it moves, what it was told, where it started, where it truly was.
-
-    Parameters
-    ----------
-    motion : MotionModel
-    controls : (K, m) array_like
-        Columns as `MotionModel.control_names`.
-    prior : Prior
-    truth : (K + 1, 3) array_like, optional
-        True poses [m, m, rad], where known.
-    name : str
-    """
-
-    motion: MotionModel
-    controls: Array
-    prior: Prior = field(default_factory=Prior)
-    truth: Array | None = None
-    name: str = "robot"
-
-    def __post_init__(self) -> None:
-        width = len(self.motion.control_names)
-        controls = checked_array(self.controls, float, (None, width), f"controls of {self.name}")
-        check_finite(controls, f"controls of {self.name}")
-        object.__setattr__(self, "controls", controls)
-        if self.truth is not None:
-            truth = checked_array(
-                self.truth, float, (len(controls) + 1, 3), f"truth of {self.name}"
-            )
-            check_finite(truth, f"truth of {self.name}")
-            object.__setattr__(self, "truth", truth)
-
-    @cached_property
-    def increments(self) -> Increments:
-        """Body increments of the whole run with their covariances, computed once."""
-        return Increments(*map(_frozen, self.motion.increments(self.controls)))
 
 
 def _told_apart(sensors: Iterable[Sensor]) -> tuple[Sensor, ...]:
@@ -126,11 +36,6 @@ def _told_apart(sensors: Iterable[Sensor]) -> tuple[Sensor, ...]:
         sensor if names.count(sensor.name) == 1 else replace(sensor, name=f"{sensor.name}-{i}")
         for i, sensor in enumerate(sensors, start=1)
     )
-
-
-def _frozen(array: np.ndarray) -> np.ndarray:
-    array.flags.writeable = False
-    return array
 
 
 class Step(NamedTuple):
@@ -333,26 +238,26 @@ class Dataset:
         changes = (np.diff(look, axis=0) != 0).any(axis=1)
         first = np.zeros(min(len(o), 1), dtype=np.int64)
         return Sightings(
-            _frozen(kinds[o.sensor]),
-            _frozen(mounts[o.sensor]),
+            frozen(kinds[o.sensor]),
+            frozen(mounts[o.sensor]),
             o.values,
-            _frozen(np.ascontiguousarray(noise)),
+            frozen(np.ascontiguousarray(noise)),
             o.landmark,
-            _frozen(np.cumsum(np.concatenate([first, changes]))),
+            frozen(np.cumsum(np.concatenate([first, changes]))),
         )
 
     @cached_property
     def offsets(self) -> np.ndarray:
         """Row of the first observation of each step, (K + 2,): step k has offsets[k:k + 2]."""
-        return _frozen(np.searchsorted(self.observations.step, np.arange(self.poses + 1)))
+        return frozen(np.searchsorted(self.observations.step, np.arange(self.poses + 1)))
 
     @cached_property
     def moves(self) -> Increments:
         """Increment that leads to each pose, (K + 1, 3): the first one is zero."""
         deltas, covariances = self.robot.increments
         return Increments(
-            _frozen(np.concatenate([np.zeros((1, 3)), deltas])),
-            _frozen(np.concatenate([np.zeros((1, 3, 3)), covariances])),
+            frozen(np.concatenate([np.zeros((1, 3)), deltas])),
+            frozen(np.concatenate([np.zeros((1, 3, 3)), covariances])),
         )
 
     def steps(self) -> Iterator[Step]:

@@ -19,7 +19,15 @@ FLOORS: dict[int, tuple[tuple[str, ...], ...]] = {
     0: (("ekfslam.errors", "ekfslam.checks", "ekfslam.storage", "ekfslam.compiled"),),
     1: (("ekfslam.geometry",), ("ekfslam.association",)),
     2: (("ekfslam.models",),),
-    3: (("ekfslam.observations", "ekfslam.dataset", "ekfslam.estimates", "ekfslam.registry"),),
+    3: (
+        (
+            "ekfslam.observations",
+            "ekfslam.robots",
+            "ekfslam.dataset",
+            "ekfslam.estimates",
+            "ekfslam.registry",
+        ),
+    ),
     4: (
         ("ekfslam.filters",),
         ("ekfslam.simulation",),

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ekfslam
 from baselines.batch import GtsamBatch
 from baselines.dead_reckoning import DeadReckoning
 from baselines.isam2 import GtsamIsam2
@@ -282,3 +283,13 @@ def test_the_published_file_is_the_one_of_the_wheel(tmp_path):
     np.testing.assert_array_equal(ours.robot.controls, wheel.robot.controls)
     np.testing.assert_array_equal(ours.observations.values, wheel.observations.values)
     np.testing.assert_array_equal(ours.observations.landmark, wheel.observations.landmark)
+
+
+def test_its_noise_can_be_stated_otherwise():
+    data = ekfslam.load("victoria-park", odometry_sigmas=(0.05, 0.04, 0.003))
+    np.testing.assert_allclose(np.diag(data.robot.motion.covariance) ** 0.5, [0.05, 0.04, 0.003])
+    assert ekfslam.load("victoria-park", noise="file").sensors[0].kind == "xy"
+    with pytest.raises(InputError, match=r"victoria-park.*nois"):
+        ekfslam.load("victoria-park", nois="file")
+    with pytest.raises(InputError, match="for recorded datasets"):
+        ekfslam.load("park", noise="file")

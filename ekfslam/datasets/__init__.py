@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ekfslam.dataset import Dataset
-from ekfslam.errors import UnknownNameError
+from ekfslam.errors import InputError, UnknownNameError
 
 
 class Recorded(NamedTuple):
@@ -27,7 +28,7 @@ RECORDED: Mapping[str, Recorded] = {
 }
 
 
-def load_recorded(name: str, path: str | Path | None = None) -> Dataset:
+def load_recorded(name: str, path: str | Path | None = None, **options: Any) -> Dataset:
     """Load a recorded set.
 
     Parameters
@@ -36,9 +37,13 @@ def load_recorded(name: str, path: str | Path | None = None) -> Dataset:
         A key of `RECORDED`.
     path : path, optional
         Its file or folder, where it does not come with a package.
+    **options
+        Of its loader, such as another noise.
 
     Raises
     ------
+    InputError
+        For an option that the loader does not have.
     UnknownNameError
         For an unknown name.
     FileFormatError
@@ -47,4 +52,8 @@ def load_recorded(name: str, path: str | Path | None = None) -> Dataset:
     if name not in RECORDED:
         raise UnknownNameError("dataset", name, RECORDED)
     loader: Callable[..., Dataset] = import_module(RECORDED[name].module).load
-    return loader() if path is None else loader(path)
+    try:
+        signature(loader).bind(path, **options)
+    except TypeError as error:
+        raise InputError(f"{name}: {error}") from None
+    return loader(path, **options)

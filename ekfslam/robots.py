@@ -1,0 +1,104 @@
+"""What a dataset is made of besides its observations: robots, priors and maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ekfslam.checks import check_finite, checked_array, checked_covariance, frozen
+from ekfslam.errors import InputError
+from ekfslam.geometry import Array
+from ekfslam.models.motion import Increments, MotionModel
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkMap:
+    """Point landmarks: identities and positions.
+
+    Parameters
+    ----------
+    ids : (L,) array_like of int
+        Distinct, not negative.
+    positions : (L, 2) array_like
+        In the world [m].
+    """
+
+    ids: np.ndarray
+    positions: Array
+
+    def __post_init__(self) -> None:
+        ids = checked_array(self.ids, np.int64, (None,), "landmark ids")
+        positions = checked_array(self.positions, float, (len(ids), 2), "landmark positions")
+        check_finite(positions, "landmark positions")
+        if (ids < 0).any() or len(np.unique(ids)) != len(ids):
+            raise InputError("landmark ids must be distinct and not negative")
+        object.__setattr__(self, "ids", ids)
+        object.__setattr__(self, "positions", positions)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of the first pose.
+
+    Parameters
+    ----------
+    mean : (3,) array_like
+        Pose in the world [m, m, rad].
+    covariance : (3, 3) array_like
+        Additive in (x, y, theta); zero for an exactly known start.
+    """
+
+    mean: Array = field(default_factory=lambda: np.zeros(3))
+    covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
+
+    def __post_init__(self) -> None:
+        mean = checked_array(self.mean, float, (3,), "prior mean")
+        check_finite(mean, "prior mean")
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(
+            self, "covariance", checked_covariance(self.covariance, 3, "prior covariance")
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """One robot: how it moves, what it was told, where it started, where it truly was.
+
+    Parameters
+    ----------
+    motion : MotionModel
+    controls : (K, m) array_like
+        Columns as `MotionModel.control_names`.
+    prior : Prior
+    truth : (K + 1, 3) array_like, optional
+        True poses [m, m, rad], where known.
+    name : str
+    """
+
+    motion: MotionModel
+    controls: Array
+    prior: Prior = field(default_factory=Prior)
+    truth: Array | None = None
+    name: str = "robot"
+
+    def __post_init__(self) -> None:
+        width = len(self.motion.control_names)
+        controls = checked_array(self.controls, float, (None, width), f"controls of {self.name}")
+        check_finite(controls, f"controls of {self.name}")
+        object.__setattr__(self, "controls", controls)
+        if self.truth is not None:
+            truth = checked_array(
+                self.truth, float, (len(controls) + 1, 3), f"truth of {self.name}"
+            )
+            check_finite(truth, f"truth of {self.name}")
+            object.__setattr__(self, "truth", truth)
+
+    @cached_property
+    def increments(self) -> Increments:
+        """Body increments of the whole run with their covariances, computed once."""
+        return Increments(*map(frozen, self.motion.increments(self.controls)))
