@@ -20,7 +20,7 @@ from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import Increments, MotionModel
 from ekfslam.models.sensors import Sensor
-from ekfslam.observations import NO_LANDMARK, Observations, Sightings
+from ekfslam.observations import NO_LANDMARK, WIDTH, Observations, Sightings, padded
 from ekfslam.robots import LandmarkMap, Prior, Robot
 from ekfslam.storage import Reader, Writer
 
@@ -43,9 +43,9 @@ class Step(NamedTuple):
 
     Attributes
     ----------
-    increment : (3,) ndarray
-        From the pose before; zero for the first pose.
-    covariance : (3, 3) ndarray
+    increment : (3,) or (R, 3) ndarray
+        From the pose before; zero for the first pose. One row per robot if there are several.
+    covariance : (3, 3) or (R, 3, 3) ndarray
         Of the increment, in the frame of the pose before.
     observations : Sightings
     """
@@ -63,7 +63,8 @@ class Dataset:
     ----------
     name : str
     robots : tuple of Robot
-        One for the estimators of today; the columns of `observations` are ready for several.
+        All of them share the times of the poses; the column ``robot`` of the observations says
+        whose they are.
     times : (K + 1,) array_like
         Strictly increasing times of the poses [s].
     sensors : tuple of Sensor
@@ -131,6 +132,12 @@ class Dataset:
         self._check_range(o.robot, len(self.robots), "robot", "robot")
         if o.observed_robot is not None:
             self._check_range(o.observed_robot, len(self.robots), "observed_robot", "robot", -1)
+            for name, bad in (
+                ("the robot itself", o.observed_robot == o.robot),
+                ("a robot and a landmark", (o.observed_robot >= 0) & (o.landmark >= 0)),
+            ):
+                if bad.any():
+                    raise InputError(f"observations show {name} in row {np.flatnonzero(bad)[0]}")
         below = np.flatnonzero(o.landmark < NO_LANDMARK)
         if len(below):
             raise InputError(
@@ -141,6 +148,12 @@ class Dataset:
         if len(back):
             raise InputError(f"observations.step goes back at row {back[0] + 1}; sort by step")
         for index, sensor in enumerate(self.sensors):
+            mine = o.sensor == index
+            if sensor.view.size == 1 and o.values[mine, 1].any():
+                raise InputError(
+                    f"{sensor.name} reports one number: the second column of "
+                    "observations.values must be 0 in its rows"
+                )
             if sensor.view.names[0] == "range":
                 negative = np.flatnonzero((o.sensor == index) & (o.values[:, 0] < 0))
                 if len(negative):
@@ -168,14 +181,19 @@ class Dataset:
     def _check_twice(self) -> None:
         """One sensor cannot see the same landmark twice at the same instant."""
         o = self.observations
-        known = np.flatnonzero(o.landmark >= 0)
+        known = np.flatnonzero((o.landmark >= 0) | (self.observed_robot >= 0))
         _, instant = np.unique(self.observation_times, return_inverse=True)
-        key = np.column_stack([o.robot, o.sensor, o.landmark, o.step, instant])[known]
+        key = np.column_stack(
+            [o.robot, o.sensor, o.landmark, self.observed_robot, o.step, instant]
+        )[known]
         _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
         if (count > 1).any():
             row = known[first[np.flatnonzero(count > 1)[0]]]
+            what = f"landmark {o.landmark[row]}"
+            if self.observed_robot[row] >= 0:
+                what = f"robot {self.observed_robot[row]}"
             raise InputError(
-                f"landmark {o.landmark[row]} is observed twice at the same instant by sensor "
+                f"{what} is observed twice at the same instant by sensor "
                 f"{self.sensors[o.sensor[row]].name} (step {o.step[row]}, row {row})"
             )
 
@@ -191,7 +209,7 @@ class Dataset:
             If there are several.
         """
         if len(self.robots) != 1:
-            raise UnsupportedError(f"{self.name} has {len(self.robots)} robots; one is supported")
+            raise UnsupportedError(f"{self.name} has {len(self.robots)} robots; this is for one")
         return self.robots[0]
 
     @property
@@ -216,22 +234,28 @@ class Dataset:
         return self.times[self.observations.step] if time is None else time
 
     @property
+    def observed_robot(self) -> np.ndarray:
+        """Robot that each observation shows instead of a landmark, -1 for none, (M,)."""
+        seen = self.observations.observed_robot
+        return np.full(len(self.observations), -1) if seen is None else seen
+
+    @property
     def association_known(self) -> bool:
-        """Whether every observation carries the identity of its landmark."""
-        return bool((self.observations.landmark >= 0).all())
+        """Whether every observation carries the identity of its landmark, or shows a robot."""
+        return bool(((self.observations.landmark >= 0) | (self.observed_robot >= 0)).all())
 
     @cached_property
     def sightings(self) -> Sightings:
         """Observations with their sensors looked up, all steps."""
         o = self.observations
-        if o.observed_robot is not None and (o.observed_robot >= 0).any():
-            raise UnsupportedError(f"{self.name} has robots that see robots; not supported yet")
         kinds = np.array([s.view.code for s in self.sensors], dtype=np.int64)
         mounts = np.array([s.mount for s in self.sensors]).reshape(-1, 3)
-        noise = np.zeros((len(o), 2, 2))
+        limits = np.array([s.limits for s in self.sensors], dtype=float).reshape(-1, 3)
+        noise = np.zeros((len(o), WIDTH, WIDTH))
         for index, sensor in enumerate(self.sensors):
             rows = o.sensor == index
-            noise[rows] = sensor.covariances(o.values[rows])
+            values = o.values[rows, : sensor.view.size]
+            noise[rows] = padded(sensor.covariances(values), axes=2)
         if o.covariance is not None:
             noise = o.covariance
         look = np.column_stack([o.step, o.robot, o.sensor, self.observation_times])
@@ -244,6 +268,10 @@ class Dataset:
             frozen(np.ascontiguousarray(noise)),
             o.landmark,
             frozen(np.cumsum(np.concatenate([first, changes]))),
+            o.robot,
+            frozen(self.observed_robot),
+            frozen(limits[o.sensor]),
+            frozen(np.full(len(o), np.nan)) if o.descriptor is None else o.descriptor,
         )
 
     @cached_property
@@ -253,19 +281,23 @@ class Dataset:
 
     @cached_property
     def moves(self) -> Increments:
-        """Increment that leads to each pose, (K + 1, 3): the first one is zero."""
-        deltas, covariances = self.robot.increments
-        return Increments(
-            frozen(np.concatenate([np.zeros((1, 3)), deltas])),
-            frozen(np.concatenate([np.zeros((1, 3, 3)), covariances])),
-        )
+        """Increment of each robot that leads to each pose; the first one is zero.
+
+        ``deltas`` is (R, K + 1, 3) and ``covariances`` (R, K + 1, 3, 3).
+        """
+        deltas = np.zeros((len(self.robots), self.poses, 3))
+        covariances = np.zeros((len(self.robots), self.poses, 3, 3))
+        for index, robot in enumerate(self.robots):
+            deltas[index, 1:], covariances[index, 1:] = robot.increments
+        return Increments(frozen(deltas), frozen(covariances))
 
     def steps(self) -> Iterator[Step]:
         """What happens step by step, from pose 0 to pose K."""
-        moves = self.moves
+        deltas, covariances = self.moves
+        which = slice(None) if len(self.robots) > 1 else 0
         for k in range(self.poses):
             rows = self.sightings.rows(int(self.offsets[k]), int(self.offsets[k + 1]))
-            yield Step(moves.deltas[k], moves.covariances[k], rows)
+            yield Step(deltas[which, k], covariances[which, k], rows)
 
     def moved(self, motion: Any) -> Dataset:
         """The same run in a world moved by a rigid motion.

@@ -26,6 +26,8 @@ class Decision(IntEnum):
     NEW = 1  # put a landmark into the map
     REJECTED = 2  # not used: without identity, or outside what is allowed
     AMBIGUOUS = 3  # not used: too far to accept, too near to be new, or a second claim
+    TENTATIVE = 4  # not used: of something that has not been seen often enough to be a landmark
+    DELAYED = 5  # kept until its landmark was determined, and used then
 
 
 def _freeze(record: Any) -> None:
@@ -44,9 +46,9 @@ class Trajectory:
 
     Attributes
     ----------
-    poses : (K + 1, 3) ndarray
-        In the world [m, m, rad].
-    covariances : (K + 1, 3, 3) ndarray or None
+    poses : (K + 1, 3) or (R, K + 1, 3) ndarray
+        In the world [m, m, rad]; with a leading axis if there are several robots.
+    covariances : (K + 1, 3, 3) or (R, K + 1, 3, 3) ndarray or None
         Additive in (x, y, theta), world frame; NaN where not computed.
     """
 
@@ -55,6 +57,13 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         _freeze(self)
+
+    def of_robot(self, robot: int) -> Trajectory:
+        """The poses (K + 1, 3) of one robot."""
+        if self.poses.ndim == 2:
+            return self
+        covariances = None if self.covariances is None else self.covariances[robot]
+        return Trajectory(self.poses[robot], covariances)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +80,18 @@ class LandmarkEstimates:
         Marginal covariance of each [m^2].
     covariance : (2 L, 2 L) ndarray or None
         Joint covariance, where the estimator has it.
+    undetermined : (U,) ndarray of int or None
+        Identities of landmarks whose distance is still open: not among the points above.
+    inverse_depth : (U, 4) ndarray or None
+        Their parameters (x0, y0, alpha, rho), see `ekfslam.models.landmarks`.
     """
 
     ids: np.ndarray
     positions: Array
     covariances: Array | None = None
     covariance: Array | None = None
+    undetermined: np.ndarray | None = None
+    inverse_depth: Array | None = None
 
     def __post_init__(self) -> None:
         _freeze(self)
@@ -117,39 +132,63 @@ class Innovations:
 class Linearizations:
     """Every linear model that a filter used: what the linear oracle rebuilds its answer from.
 
-    With x the poses and l the landmarks, the filter worked as if
+    With x the poses of the robots and l the landmarks, the filter worked as if
 
     - ``x_k = motion_to[k] + motion_jacobian[k] (x_{k-1} - motion_from[k]) + w``, where w has
       covariance ``motion_noise[k]`` and for k = 0 the prior stands for x_{-1};
-    - an observation: ``innovation = jacobian ((x_k, l) - point) + v``, v of covariance ``noise``;
-    - a new landmark: ``l = point[3:] + jacobian[:, :3] (x_k - point[:3]) + v``.
+
+    and as if, in the order of the rows, with m the target of the row (a landmark, or the pose of
+    another robot at the same step) and point = (pose, target),
+
+    - `OBSERVED`: ``innovation = jacobian ((x_k, m) - point) + v``, v of covariance ``noise``;
+    - `CREATED`: ``l = point[3:] + jacobian[:, :3] (x_k - point[:3]) + v``: from here on the identity
+      stands for a new variable of `size` coordinates;
+    - `CONVERTED`: ``l' = innovation + jacobian[:, 3:] (l - point[3:])`` without noise: from here on
+      the identity stands for l', a point, made from l of four coordinates.
+
+    Deletion is marginalisation and leaves no trace. Arrays are as wide as the widest case; what is
+    not used of them is 0. d = `rows` below is what a row has in earnest.
 
     Attributes
     ----------
-    motion_from, motion_to : (K + 1, 3) ndarray
+    motion_from, motion_to : (R, K + 1, 3) ndarray
         Pose before and after each motion.
-    motion_jacobian, motion_noise : (K + 1, 3, 3) ndarray
+    motion_jacobian, motion_noise : (R, K + 1, 3, 3) ndarray
         Of the motion with respect to the pose, and its noise in the world frame.
-    row, step, landmark : (n,) ndarray of int
-        Observation of the dataset, its step, and the identity of its landmark; in the order in
-        which they were used.
-    new : (n,) ndarray of bool
-        Whether it initialised the landmark.
-    point : (n, 5) ndarray
-        Linearisation point (pose, landmark).
-    jacobian : (n, 2, 5) ndarray
-    innovation : (n, 2) ndarray
-    noise : (n, 2, 2) ndarray
+    event : (n,) ndarray of int
+        `OBSERVED`, `CREATED` or `CONVERTED`.
+    row : (n,) ndarray of int
+        Observation of the dataset, -1 for a conversion.
+    robot, step : (n,) ndarray of int
+        Whose pose, of which step.
+    landmark, target : (n,) ndarray of int
+        Identity of the landmark, or the robot that is seen; -1 for the one that it is not.
+    size, rows : (n,) ndarray of int
+        Coordinates of the target: 2 of a point, 4 of an inverse depth, 3 of a pose; and rows of
+        the equation.
+    point : (n, 7) ndarray
+        Linearisation point (pose, target).
+    jacobian : (n, 4, 7) ndarray
+    innovation : (n, 4) ndarray
+    noise : (n, 4, 4) ndarray
     """
+
+    OBSERVED = 0
+    CREATED = 1
+    CONVERTED = 2
 
     motion_from: Array
     motion_to: Array
     motion_jacobian: Array
     motion_noise: Array
+    event: np.ndarray
     row: np.ndarray
+    robot: np.ndarray
     step: np.ndarray
     landmark: np.ndarray
-    new: np.ndarray
+    target: np.ndarray
+    size: np.ndarray
+    rows: np.ndarray
     point: Array
     jacobian: Array
     innovation: Array
@@ -172,8 +211,9 @@ class Estimate:
         Every pose from all measurements.
     landmarks : LandmarkEstimates or None
         The map at the end.
-    joint_covariance : (3 + 2 L, 3 + 2 L) ndarray or None
-        Of the final pose and the map, in this order, additive.
+    joint_covariance : (3 R + 2 L + 4 U, 3 R + 2 L + 4 U) ndarray or None
+        Of the final poses of all robots and the map, in this order, additive; landmarks that are
+        still undetermined come last, in inverse depth.
     innovations : Innovations or None
     step_nis : (K + 1,) ndarray or None
         Joint squared Mahalanobis norm of the innovations of a step; NaN where there were none.

@@ -1,10 +1,11 @@
 """Sensors as views of a point in their own frame.
 
 A sensor is mounted on the body (mount pose), reports something of a point in its frame (range and
-bearing, or x and y), sees part of the plane, and has noise. The direct and the inverse model and
-all Jacobians follow by the chain rule from `ekfslam.geometry`.
+bearing, x and y, bearing alone, or range alone), sees part of the plane, and has noise. The direct
+and the inverse model and all Jacobians follow by the chain rule from `ekfslam.geometry`.
 
-Another kind of view (bearing only, range only) is another row of `VIEWS`.
+Range-bearing and xy are full observations: they determine a point. Bearing and range are partial
+ones (Solà, 2.3.5), with no inverse without a prior; see `ekfslam.models.landmarks`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 
 from ekfslam import geometry as geo
 from ekfslam.checks import checked_array, checked_covariance, checked_number
-from ekfslam.errors import InputError, UnknownNameError
+from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
 from ekfslam.geometry import Array
 
 
@@ -53,18 +54,26 @@ def _identity_jacobian(value: Array) -> Array:
 
 
 class View(NamedTuple):
-    """What a kind of sensor reports of a point in its frame, with its inverse and Jacobians."""
+    """What a kind of sensor reports of a point in its frame, with its inverse and Jacobians.
+
+    A partial view has no inverse.
+    """
 
     code: int  # how the compiled kernels name it
-    names: tuple[str, str]
-    angular: tuple[bool, bool]
+    names: tuple[str, ...]
+    angular: tuple[bool, ...]
     project: Callable[[Array], Array]
     project_jacobian: Callable[[Array], Array]
-    back_project: Callable[[Array], Array]
-    back_project_jacobian: Callable[[Array], Array]
+    back_project: Callable[[Array], Array] | None = None
+    back_project_jacobian: Callable[[Array], Array] | None = None
+
+    @property
+    def size(self) -> int:
+        """Numbers that a sighting reports: 2 of a full view, 1 of a partial one."""
+        return len(self.names)
 
 
-RANGE_BEARING, XY = 0, 1
+RANGE_BEARING, XY, BEARING, RANGE = 0, 1, 2, 3
 
 VIEWS: Mapping[str, View] = {
     "range-bearing": View(
@@ -85,6 +94,20 @@ VIEWS: Mapping[str, View] = {
         np.asarray,
         _identity_jacobian,
     ),
+    "bearing": View(
+        BEARING,
+        ("bearing",),
+        (True,),
+        lambda point: _polar(point)[..., 1:],
+        lambda point: _polar_jacobian(point)[..., 1:, :],
+    ),
+    "range": View(
+        RANGE,
+        ("range",),
+        (False,),
+        lambda point: _polar(point)[..., :1],
+        lambda point: _polar_jacobian(point)[..., :1, :],
+    ),
 }
 
 
@@ -94,10 +117,11 @@ class Sensor:
 
     Parameters
     ----------
-    kind : {"range-bearing", "xy"}
+    kind : {"range-bearing", "xy", "bearing", "range"}
         What it reports of a point: (range [m], bearing [rad] counter-clockwise from its x axis),
-        or (x, y) [m] in its frame.
-    covariance : (2, 2) array_like
+        (x, y) [m] in its frame, (bearing,) or (range,). In docstrings d is the number of values:
+        2, or 1 for a partial view.
+    covariance : (d, d) array_like
         Noise of one measurement, correlated or not, in the units of the values squared.
     mount : (3,) array_like
         Pose of the sensor in the body frame (dx, dy, heading) [m, m, rad].
@@ -106,7 +130,7 @@ class Sensor:
     field_of_view : float
         Total opening angle [rad], centred on its x axis; 2 pi sees all around.
     range_growth : float
-        Further standard deviation of the range per metre of range (range-bearing only):
+        Further standard deviation of the range per metre of range (of sensors that report one):
         ``var(r) = covariance[0, 0] + (range_growth r)^2``.
     name : str
 
@@ -129,7 +153,9 @@ class Sensor:
         if self.kind not in VIEWS:
             raise UnknownNameError("sensor kind", self.kind, VIEWS)
         object.__setattr__(
-            self, "covariance", checked_covariance(self.covariance, 2, f"covariance of {self.name}")
+            self,
+            "covariance",
+            checked_covariance(self.covariance, self.view.size, f"covariance of {self.name}"),
         )
         mount = checked_array(self.mount, float, (None,), f"mount of {self.name}")
         if mount.shape != (3,) or not np.isfinite(mount).all():
@@ -146,13 +172,18 @@ class Sensor:
             raise InputError(f"field_of_view of {self.name} must be in (0, 2 pi] [rad]")
         if not 0 <= self.range_growth < np.inf:
             raise InputError(f"range_growth of {self.name} must be non-negative")
-        if self.range_growth > 0 and self.kind != "range-bearing":
+        if self.range_growth > 0 and "range" not in self.view.names:
             raise InputError(f"range_growth of {self.name} needs a range, not {self.kind!r}")
 
     @property
     def view(self) -> View:
         """What it reports of a point."""
         return VIEWS[self.kind]
+
+    @property
+    def limits(self) -> tuple[float, float, float]:
+        """Where it sees: minimum and maximum range [m], half the field of view [rad]."""
+        return self.min_range, self.max_range, 0.5 * self.field_of_view
 
     def observe(self, poses: Any, points: Any) -> tuple[Array, Array, Array]:
         """Direct model h(R, S, L) with Jacobians (Solà, Eqs. 24 and 63; Ciatto, 2.3).
@@ -166,9 +197,9 @@ class Sensor:
 
         Returns
         -------
-        values : (..., 2) ndarray
-        wrt_pose : (..., 2, 3) ndarray
-        wrt_point : (..., 2, 2) ndarray
+        values : (..., d) ndarray
+        wrt_pose : (..., d, 3) ndarray
+        wrt_point : (..., d, 2) ndarray
         """
         poses = np.asarray(poses, dtype=float)
         frame = geo.compose(poses, self.mount)
@@ -197,32 +228,42 @@ class Sensor:
             Landmarks in the world [m].
         wrt_pose : (..., 2, 3) ndarray
         wrt_value : (..., 2, 2) ndarray
+
+        Raises
+        ------
+        UnsupportedError
+            For a partial view, which does not determine a point.
         """
+        back_project, back_project_jacobian = self.view.back_project, self.view.back_project_jacobian
+        if back_project is None or back_project_jacobian is None:
+            raise UnsupportedError(f"one {self.kind} of {self.name} does not determine a point")
         poses, values = np.asarray(poses, dtype=float), np.asarray(values, dtype=float)
         frame = geo.compose(poses, self.mount)
         frame_wrt_pose, _ = geo.compose_jacobians(poses, self.mount)
-        local = self.view.back_project(values)
+        local = back_project(values)
         point_wrt_frame, point_wrt_local = geo.from_frame_jacobians(frame, local)
         return (
             geo.from_frame(frame, local),
             point_wrt_frame @ frame_wrt_pose,
-            point_wrt_local @ self.view.back_project_jacobian(values),
+            point_wrt_local @ back_project_jacobian(values),
         )
 
     def difference(self, values: Any, expected: Any) -> Array:
-        """Innovation ``values - expected`` with angles wrapped, (..., 2)."""
+        """Innovation ``values - expected`` with angles wrapped, (..., d)."""
         innovation = np.asarray(values, dtype=float) - np.asarray(expected, dtype=float)
         return np.where(self.view.angular, geo.wrap(innovation), innovation)
 
     def covariances(self, values: Any) -> Array:
-        """Noise of measurements, (..., 2, 2); a growing range noise is taken at the value's range.
+        """Noise of measurements, (..., d, d); a growing range noise is taken at the value's range.
 
         Parameters
         ----------
-        values : (..., 2) array_like
+        values : (..., d) array_like
         """
         values = np.asarray(values, dtype=float)
-        noise = np.broadcast_to(self.covariance, (*values.shape[:-1], 2, 2)).copy()
+        noise = np.broadcast_to(
+            self.covariance, (*values.shape[:-1], *self.covariance.shape)
+        ).copy()
         if self.range_growth:
             noise[..., 0, 0] += (self.range_growth * values[..., 0]) ** 2
         return noise
