@@ -210,6 +210,8 @@ class Sightings(NamedTuple):
             raise InputError("robot must not be negative, nor observed_robot below -1")
         if (target == robot).any():
             raise InputError("a robot cannot see itself")
+        if ((target >= 0) & (landmark >= 0)).any():
+            raise InputError("a sighting shows a robot and a landmark at once")
         if (landmark < NO_LANDMARK).any():
             raise InputError(f"landmark must not be below {NO_LANDMARK}, which stands for unknown")
         if not is_covariance(covariance).all():

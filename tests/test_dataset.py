@@ -13,7 +13,7 @@ from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset, LandmarkMap, Prior, Robot
 from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.models.motion import MotionModel
-from ekfslam.models.sensors import Sensor
+from ekfslam.models.sensors import VIEWS, Sensor
 from ekfslam.observations import Observations, Sightings
 
 NOISE = np.diag([0.01, 0.0004])
@@ -39,6 +39,18 @@ def twice(**columns):
     return make(
         **{"step": [1, 1], "values": [[2.0, 0.1], [2.1, 0.2]], "landmark": [4, 4]} | columns
     )
+
+
+def pair(**columns):
+    """Two robots, of which one sees a landmark and then the other robot, unless told otherwise."""
+    robot = Robot(MOTION, np.tile([1.0, 0.0, 0.0], (2, 1)), name="one")
+    seen = {
+        "step": [1, 1],
+        "values": [[2.0, 0.1], [1.0, -0.2]],
+        "landmark": [4, -1],
+        "observed_robot": [-1, 1],
+    }
+    return make(robots=(robot, replace(robot, name="other")), **{**seen, **columns})
 
 
 def assert_refused(message, build, *arguments, **settings):
@@ -214,6 +226,90 @@ def test_a_dataset_may_hold_no_observations():
     assert [len(step.observations.values) for step in data.steps()] == [0, 0, 0]
 
 
+# Sensors that report one number ----------------------------------------------------------------
+
+
+def test_one_number_is_padded():
+    bearings = Sensor("bearing", [[0.01]])
+    data = make(sensors=(bearings,), values=[[0.3]])
+    assert_array_equal(data.observations.values, [[0.3, 0.0]])
+    assert_array_equal(data.sightings.covariance, [[[0.01, 0.0], [0.0, 0.0]]])
+    assert_array_equal(data.sightings.kind, [bearings.view.code])
+    assert_array_equal(make(sensors=(bearings,), values=[[0.3, 0.0]]).sightings.values, [[0.3, 0]])
+    none = make(sensors=(bearings,), step=[], values=np.zeros((0, 1)))
+    assert none.observations.values.shape == (0, 2)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_one_number_that_is_not_finite(bad):
+    bearings = Sensor("bearing", [[0.01]])
+    assert_refused("observations.values .* row 0", make, sensors=(bearings,), values=[[bad]])
+
+
+@pytest.mark.parametrize("kind", ["bearing", "range"])
+def test_a_second_number_of_a_sensor_that_reports_one(kind):
+    sensors = (Sensor("xy", NOISE), Sensor(kind, [[0.01]], name="eye"))
+    columns = {"step": [0, 1], "values": [[1.0, 2.0], [1.0, 0.1]], "sensor": [0, 1]}
+    assert_refused("eye reports one number: the second column", make, sensors=sensors, **columns)
+
+
+def test_a_range_alone_is_not_negative_and_a_bearing_may_be():
+    columns = {"step": [0, 1], "values": [[1.0], [-0.5]]}
+    beacon = Sensor("range", [[0.01]], name="beacon")
+    message = "negative range -0.5 in row 1 of the observations of beacon"
+    assert_refused(message, make, sensors=(beacon,), **columns)
+    assert len(make(sensors=(Sensor("bearing", [[0.01]]),), **columns).observations) == 2
+
+
+def test_range_noise_of_a_single_number_grows_with_it():
+    beacon = Sensor("range", [[0.01]], range_growth=0.1)
+    data = make(sensors=(beacon,), values=[[2.0]])
+    assert_allclose(data.sightings.covariance, [[[0.05, 0.0], [0.0, 0.0]]], rtol=1e-15)
+
+
+# Robots that see robots ------------------------------------------------------------------------
+
+
+def test_a_row_shows_a_landmark_or_a_robot():
+    data = pair()
+    assert data.association_known
+    assert_array_equal(data.observed_robot, [-1, 1])
+    assert_array_equal(data.sightings.target, [-1, 1])
+    assert_array_equal(data.sightings.robot, [0, 0])
+    assert_array_equal(make().observed_robot, [-1])
+    assert not pair(observed_robot=[-1, -1]).association_known
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"robot": [0, 1]}, "observations show the robot itself in row 1"),
+        ({"landmark": [4, 5]}, "observations show a robot and a landmark in row 1"),
+        ({"observed_robot": [-1, 2]}, "observations.observed_robot is 2 in row 1, but there are 2"),
+        ({"observed_robot": [-2, 1]}, "observations.observed_robot is -2 in row 0"),
+        (
+            {"observed_robot": [1, 1], "landmark": [-1, -1]},
+            "robot 1 is observed twice at the same instant by sensor laser",
+        ),
+    ],
+)
+def test_rows_that_show_what_they_cannot(columns, message):
+    assert_refused(message, pair, **columns)
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"observed_robot": [1, 0], "robot": [0, 1], "landmark": [-1, -1]},
+        {"observed_robot": [1, 1], "landmark": [-1, -1], "time": [1.0, 1.5]},
+        {"observed_robot": [-1, -1], "landmark": [4, 4], "robot": [0, 1]},
+    ],
+    ids=["one another", "other time", "two robots see one landmark"],
+)
+def test_what_several_robots_may_see(columns):
+    assert len(pair(**columns).observations) == 2
+
+
 # What it derives -------------------------------------------------------------------------------
 
 
@@ -275,6 +371,66 @@ def test_sightings_of_one_sensor_are_those_of_a_dataset():
     assert_refused("landmark must have shape", Sightings.of, sensor, values, [1])
 
 
+@pytest.mark.parametrize("kind", VIEWS)
+def test_sightings_of_robots_and_of_any_sensor_are_those_of_a_dataset(kind):
+    size = 1 if kind in ("bearing", "range") else 2
+    sensor = Sensor(kind, NOISE[:size, :size], [0.1, 0.2, 0.3], 0.5, 9.0, 3.0)
+    values = np.array([[2.0, 0.1], [1.0, -0.2]])[:, :size]
+    data = pair(sensors=(sensor,), values=values, robot=[0, 0], descriptor=[0.3, np.nan])
+    alone = Sightings.of(sensor, values, [4, -1], 0, [-1, 1], [0.3, np.nan])
+    for mine, theirs in zip(alone, data.sightings, strict=True):
+        assert mine.dtype == theirs.dtype
+        assert_array_equal(mine, theirs)
+    for mine, theirs in zip(alone.checked(), alone, strict=True):
+        assert_array_equal(mine, theirs)
+    assert_array_equal(alone.limits, [[0.5, 9.0, 1.5]] * 2)
+    if size == 1:
+        assert_refused(r"values must have shape \(n, 1\)", Sightings.of, sensor, [[1.0, 0.0]])
+
+
+def test_defaults_of_sightings():
+    alone = Sightings.of(Sensor("xy", NOISE), [[1.0, 2.0]], robot=3)
+    assert_array_equal(alone.robot, [3])
+    assert_array_equal(alone.target, [-1])
+    assert np.isnan(alone.descriptor).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kind": [9, 9]}, "kind holds a code of no view"),
+        ({"values": [[-1.0, 0.0], [1.0, 0.0]]}, "negative range"),
+        ({"values": [[1.0, 0.1], [1.0, 0.0]]}, "reports one number"),
+        ({"robot": [-1, 0]}, "robot must not be negative"),
+        ({"target": [-2, 1]}, "nor observed_robot below -1"),
+        ({"target": [-1, 0]}, "a robot cannot see itself"),
+        ({"target": [1, -1]}, "a robot and a landmark at once"),
+        ({"landmark": [-2, -1]}, "landmark must not be below -1"),
+        ({"landmark": [-1, -1], "target": [1, 1]}, "cannot see the same thing twice"),
+        ({"covariance": [-np.eye(2), np.eye(2)]}, "not positive semi-definite"),
+        ({"mount": np.full((2, 3), np.nan)}, "mount holds NaN"),
+        ({"limits": [[0.0, 1.0], [0.0, 1.0]]}, r"limits must have shape \(2, 3\)"),
+        ({"descriptor": [0.1]}, r"descriptor must have shape \(2,\)"),
+    ],
+)
+def test_sightings_that_make_no_sense(changes, message):
+    sensor = Sensor("range", [[0.01]])
+    good = Sightings.of(sensor, [[2.0], [1.0]], [4, -1], 0, [-1, 1])
+    assert len(good.checked().values) == 2
+    assert_refused(message, good._replace(**changes).checked)
+
+
+def test_robots_that_look_at_once_have_looks_of_their_own():
+    columns = {
+        "step": [1, 1, 1],
+        "values": np.ones((3, 2)),
+        "landmark": [4, 4, 5],
+        "robot": [0, 1, 1],
+        "observed_robot": [-1, -1, -1],
+    }
+    assert_array_equal(np.diff(pair(**columns).sightings.look) != 0, [True, False])
+
+
 def test_a_look_is_what_one_sensor_sees_at_one_instant():
     sensors = (Sensor("xy", NOISE, name="left"), Sensor("xy", NOISE, name="right"))
     columns = {
@@ -312,24 +468,54 @@ def test_increments_are_those_of_the_motion_model(wheels):
     assert_array_equal(wheels.increments.covariances, expected.covariances)
 
 
-def test_several_robots_are_held_but_not_estimated(wheels):
-    data = Dataset(
-        "pair",
-        (wheels, replace(wheels, name="other")),
+@pytest.fixture
+def team(wheels):
+    """Two robots with different motions over the same four steps."""
+    walker = Robot(MOTION, np.arange(12.0).reshape(4, 3), Prior([5, 6, 1]), name="walker")
+    return Dataset(
+        "team",
+        (wheels, walker),
         np.arange(5.0),
         (Sensor("range-bearing", NOISE),),
-        Observations([0, 0], [[1, 0], [1, 0]], robot=[0, 1], landmark=[3, 3]),
+        Observations(
+            [0, 0, 3], [[1, 0]] * 3, [3, 3, -1], robot=[0, 1, 1], observed_robot=[-1, -1, 0]
+        ),
     )
-    assert len(data.observations) == 2
-    with pytest.raises(UnsupportedError, match="pair has 2 robots"):
-        _ = data.robot
 
 
-def test_robots_that_see_robots_are_held_but_not_estimated():
-    data = make(observed_robot=[0])
-    with pytest.raises(UnsupportedError, match="robots that see robots"):
-        _ = data.sightings
-    assert len(make(observed_robot=[-1]).sightings.values) == 1
+@pytest.mark.parametrize("attribute", ["robot", "prior", "truth"])
+def test_what_one_robot_has_is_refused_for_several(team, attribute):
+    with pytest.raises(UnsupportedError, match="team has 2 robots"):
+        getattr(team, attribute)
+
+
+def test_moves_and_steps_hold_all_robots(team):
+    deltas, covariances = team.moves
+    assert deltas.shape == (2, 5, 3)
+    assert covariances.shape == (2, 5, 3, 3)
+    assert not deltas[:, 0].any()
+    assert not covariances[:, 0].any()
+    for index, robot in enumerate(team.robots):
+        assert_array_equal(deltas[index, 1:], robot.increments.deltas)
+        assert_array_equal(covariances[index, 1:], robot.increments.covariances)
+    for k, step in enumerate(team.steps()):
+        assert_array_equal(step.increment, deltas[:, k])
+        assert_array_equal(step.covariance, covariances[:, k])
+
+
+def test_a_team_moves_together(team):
+    g = np.array([50.0, -30.0, 2.0])
+    moved = team.moved(g)
+    for mine, theirs in zip(moved.robots, team.robots, strict=True):
+        difference = subtract_last_angle(mine.prior.mean, geo.compose(g, theirs.prior.mean))
+        assert_allclose(difference, 0, atol=1e-12)
+    assert_same_record(moved.observations, team.observations)
+    assert moved.robots[1].truth is None
+
+
+def test_a_team_is_saved_without_loss(team, tmp_path):
+    team.save(tmp_path / "team.npz")
+    assert_same_record(Dataset.load(tmp_path / "team.npz"), team)
 
 
 # Rigid motion ----------------------------------------------------------------------------------

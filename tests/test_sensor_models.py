@@ -8,8 +8,8 @@ from numerics import assert_sampled, central_difference, subtract_last_angle
 from numpy.testing import assert_allclose, assert_array_equal
 
 from ekfslam import geometry as geo
-from ekfslam.errors import InputError, UnknownNameError
-from ekfslam.models.sensors import RANGE_BEARING, VIEWS, XY, Sensor
+from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
+from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING, VIEWS, XY, Sensor
 
 NOISE = np.array([[0.04, 0.003], [0.003, 0.01]])
 MOUNTS = {
@@ -19,12 +19,22 @@ MOUNTS = {
     "turned": [0.5, -0.4, 2.3],
     "backwards": [-0.6, 0.1, np.pi],
 }
+FULL = ["range-bearing", "xy"]
+PARTIAL = ["bearing", "range"]
 each_kind = pytest.mark.parametrize("kind", VIEWS)
+each_full_kind = pytest.mark.parametrize("kind", FULL)
+each_partial_kind = pytest.mark.parametrize("kind", PARTIAL)
 each_mount = pytest.mark.parametrize("mount", MOUNTS.values(), ids=MOUNTS)
 
 
+def noise_of(kind):
+    """As many rows and columns of NOISE as the kind reports numbers."""
+    size = 1 if kind in PARTIAL else 2
+    return NOISE[:size, :size]
+
+
 def subtraction(kind):
-    return subtract_last_angle if kind == "range-bearing" else np.subtract
+    return subtract_last_angle if kind in ("range-bearing", "bearing") else np.subtract
 
 
 def draw(rng, count):
@@ -41,7 +51,7 @@ def draw(rng, count):
 @each_kind
 @each_mount
 def test_direct_model_and_its_jacobians(kind, mount, rng):
-    sensor = Sensor(kind, NOISE, mount)
+    sensor = Sensor(kind, noise_of(kind), mount)
     for pose, point in zip(*draw(rng, 20), strict=True):
         _, wrt_pose, wrt_point = sensor.observe(pose, point)
         numeric_pose = central_difference(
@@ -54,10 +64,10 @@ def test_direct_model_and_its_jacobians(kind, mount, rng):
         assert_allclose(wrt_point, numeric_point, rtol=0, atol=1e-9)
 
 
-@each_kind
+@each_full_kind
 @each_mount
 def test_inverse_model_and_its_jacobians(kind, mount, rng):
-    sensor = Sensor(kind, NOISE, mount)
+    sensor = Sensor(kind, noise_of(kind), mount)
     for pose, point in zip(*draw(rng, 20), strict=True):
         value = sensor.observe(pose, point)[0]
         located, wrt_pose, wrt_value = sensor.locate(pose, value)
@@ -68,11 +78,11 @@ def test_inverse_model_and_its_jacobians(kind, mount, rng):
         assert_allclose(wrt_value, numeric_value, rtol=0, atol=1e-9)
 
 
-@each_kind
+@each_full_kind
 @each_mount
 def test_inverse_jacobians_are_those_of_the_implicit_function(kind, mount, rng):
     """h(x, g(x, y)) = y for all x and y, hence H_p G_y = I and H_x + H_p G_x = 0."""
-    sensor = Sensor(kind, NOISE, mount)
+    sensor = Sensor(kind, noise_of(kind), mount)
     poses, points = draw(rng, 100)
     values, wrt_pose, wrt_point = sensor.observe(poses, points)
     _, inverse_pose, inverse_value = sensor.locate(poses, values)
@@ -83,7 +93,7 @@ def test_inverse_jacobians_are_those_of_the_implicit_function(kind, mount, rng):
 @each_kind
 @each_mount
 def test_observation_does_not_change_when_the_world_is_moved(kind, mount, rng):
-    sensor = Sensor(kind, NOISE, mount)
+    sensor = Sensor(kind, noise_of(kind), mount)
     poses, points = draw(rng, 100)
     motion = np.array([3.0, -7.0, 2.0])
     moved = sensor.observe(geo.compose(motion, poses), geo.from_frame(motion, points))[0]
@@ -98,26 +108,72 @@ def test_a_point_measured_by_hand():
     relative = Sensor("xy", NOISE, mount).observe(pose, point)[0]
     assert_allclose(ranging, [5.0, np.arctan2(3, 4)], atol=1e-15)
     assert_allclose(relative, [4.0, 3.0], atol=1e-15)
+    for kind, expected in (("range", 5.0), ("bearing", np.arctan2(3, 4))):
+        partial = Sensor(kind, noise_of(kind), mount).observe(pose, point)[0]
+        assert_allclose(partial, [expected], atol=1e-15)
+
+
+@each_mount
+def test_partial_views_are_the_halves_of_range_and_bearing(mount, rng):
+    """One row of the full view each: values, both Jacobians."""
+    poses, points = draw(rng, 100)
+    whole = Sensor("range-bearing", NOISE, mount).observe(poses, points)
+    halves = [Sensor(kind, [[1.0]], mount).observe(poses, points) for kind in ("range", "bearing")]
+    for full, ranges, bearings in zip(whole, *halves, strict=True):
+        assert_allclose(np.concatenate([ranges, bearings], axis=1), full, rtol=0, atol=1e-14)
+
+
+@each_partial_kind
+def test_what_a_partial_view_does_not_tell_changes_nothing(kind, rng):
+    """A bearing does not change along the ray, nor a range around the sensor."""
+    sensor = Sensor(kind, noise_of(kind), MOUNTS["turned"])
+    poses, points = draw(rng, 50)
+    value, _, wrt_point = sensor.observe(poses, points)
+    origin = geo.compose(poses, sensor.mount)[:, :2]
+    ray = points - origin
+    if kind == "bearing":
+        blind, other = ray, origin + 3.0 * ray
+    else:
+        blind = np.column_stack([-ray[:, 1], ray[:, 0]])
+        other = origin + blind
+    assert_allclose(np.einsum("mij,mj->mi", wrt_point, blind), 0, atol=1e-12)
+    difference = sensor.difference(sensor.observe(poses, other)[0], value)
+    assert_allclose(difference, 0, atol=1e-12)
+
+
+@each_partial_kind
+def test_a_partial_view_has_no_inverse(kind):
+    sensor = Sensor(kind, noise_of(kind), name="eye")
+    with pytest.raises(UnsupportedError, match=f"one {kind} of eye does not determine a point"):
+        sensor.locate(np.zeros(3), [1.0])
 
 
 @each_kind
-def test_models_broadcast_one_pose_over_points(kind, rng):
-    sensor = Sensor(kind, NOISE, MOUNTS["turned"])
+def test_direct_model_broadcasts_one_pose_over_points(kind, rng):
+    sensor = Sensor(kind, noise_of(kind), MOUNTS["turned"])
+    poses, points = draw(rng, 5)
+    together = sensor.observe(poses[0], points)
+    for k in range(5):
+        for stacked, alone in zip(together, sensor.observe(poses[0], points[k]), strict=True):
+            assert_allclose(stacked[k], alone, rtol=1e-14, atol=1e-15)
+
+
+@each_full_kind
+def test_inverse_model_broadcasts_one_pose_over_points(kind, rng):
+    sensor = Sensor(kind, noise_of(kind), MOUNTS["turned"])
     poses, points = draw(rng, 5)
     together = sensor.observe(poses[0], points)
     back = sensor.locate(poses[0], together[0])
     for k in range(5):
-        for stacked, alone in zip(together, sensor.observe(poses[0], points[k]), strict=True):
-            assert_allclose(stacked[k], alone, rtol=1e-14, atol=1e-15)
         for stacked, alone in zip(back, sensor.locate(poses[0], together[0][k]), strict=True):
             assert_allclose(stacked[k], alone, rtol=1e-14, atol=1e-15)
 
 
-@each_kind
+@each_full_kind
 @each_mount
 def test_mapped_covariance_of_a_new_landmark(kind, mount, rng):
     """Drawn poses and measurements pushed through the inverse model."""
-    sensor = Sensor(kind, NOISE, mount)
+    sensor = Sensor(kind, noise_of(kind), mount)
     pose, point, count = np.array([1.0, 2.0, 0.6]), np.array([4.0, 5.0]), 100_000
     root = np.array([[2.0, 0, 0], [0.5, 1.5, 0], [0.3, -0.4, 1.0]]) * 1e-3
     noise = 1e-5 * NOISE
@@ -132,7 +188,7 @@ def test_mapped_covariance_of_a_new_landmark(kind, mount, rng):
 @each_kind
 def test_innovation_covariance(kind, rng):
     """Drawn poses and landmarks pushed through the direct model."""
-    sensor = Sensor(kind, NOISE, MOUNTS["turned"])
+    sensor = Sensor(kind, noise_of(kind), MOUNTS["turned"])
     pose, point, count = np.array([1.0, 2.0, 0.6]), np.array([4.0, 5.0]), 100_000
     poses = pose + 1e-3 * rng.normal(size=(count, 3))
     points = point + 2e-3 * rng.normal(size=(count, 2))
@@ -152,12 +208,27 @@ def test_difference_wraps_the_bearing_and_nothing_else():
         Sensor("range-bearing", NOISE).difference(values, expected), [[8, -turn], [-8, turn]]
     )
     assert_array_equal(Sensor("xy", NOISE).difference(values, expected), values - expected)
+    bearings = Sensor("bearing", [[0.01]]).difference(values[:, 1:], expected[:, 1:])
+    assert_allclose(bearings, [[-turn], [turn]])
+    ranges = Sensor("range", [[0.01]]).difference(values[:, :1], expected[:, :1])
+    assert_array_equal(ranges, [[8.0], [-8.0]])
 
 
 def test_views_carry_the_codes_that_the_kernels_know():
     assert Sensor("range-bearing", NOISE).view.code == RANGE_BEARING
     assert Sensor("xy", NOISE).view.code == XY
+    assert VIEWS["bearing"].code == BEARING
+    assert VIEWS["range"].code == RANGE
     assert len({view.code for view in VIEWS.values()}) == len(VIEWS)
+
+
+def test_views_say_how_many_numbers_they_report():
+    assert {kind: view.size for kind, view in VIEWS.items()} == {
+        "range-bearing": 2,
+        "xy": 2,
+        "bearing": 1,
+        "range": 1,
+    }
 
 
 # Visibility ------------------------------------------------------------------------------------
@@ -165,7 +236,7 @@ def test_views_carry_the_codes_that_the_kernels_know():
 
 @each_kind
 def test_range_limits_are_inside(kind):
-    sensor = Sensor(kind, NOISE, min_range=1.0, max_range=4.0)
+    sensor = Sensor(kind, noise_of(kind), min_range=1.0, max_range=4.0)
     distance = np.array([0.0, np.nextafter(1, 0), 1.0, 2.0, 4.0, np.nextafter(4, 9)])
     points = np.column_stack([distance, np.zeros(6)])
     assert_array_equal(sensor.sees(np.zeros(3), points), [False, False, True, True, True, False])
@@ -173,7 +244,7 @@ def test_range_limits_are_inside(kind):
 
 @each_kind
 def test_field_of_view_is_the_whole_opening_angle(kind):
-    sensor = Sensor(kind, NOISE, field_of_view=np.deg2rad(60))
+    sensor = Sensor(kind, noise_of(kind), field_of_view=np.deg2rad(60))
     bearing = np.deg2rad([-180, -90, -30.001, -29.999, 0, 29.999, 30.001, 90])
     points = 3 * np.column_stack([np.cos(bearing), np.sin(bearing)])
     seen = [False, False, False, True, True, True, False, False]
@@ -183,8 +254,8 @@ def test_field_of_view_is_the_whole_opening_angle(kind):
 @each_kind
 def test_an_open_sensor_sees_all_around(kind, rng):
     poses, points = draw(rng, 500)
-    assert Sensor(kind, NOISE).sees(poses, points).all()
-    assert Sensor(kind, NOISE).sees(np.zeros(3), [[-1.0, 0.0], [-1.0, -0.0]]).all()
+    assert Sensor(kind, noise_of(kind)).sees(poses, points).all()
+    assert Sensor(kind, noise_of(kind)).sees(np.zeros(3), [[-1.0, 0.0], [-1.0, -0.0]]).all()
 
 
 def test_visibility_is_that_of_the_mounted_sensor():
@@ -197,6 +268,17 @@ def test_visibility_is_that_of_the_mounted_sensor():
     assert_array_equal(camera.sees(pose, points), [True, False, False, True, False])
 
 
+def test_limits_are_what_decides_on_visibility(rng):
+    sensor = Sensor("bearing", [[0.01]], MOUNTS["turned"], 3.0, 6.0, 2.0)
+    least, most, half = sensor.limits
+    poses, points = draw(rng, 500)
+    local = geo.to_frame(geo.compose(poses, sensor.mount), points)
+    distance, bearing = np.hypot(*local.T), np.arctan2(local[:, 1], local[:, 0])
+    inside = (least <= distance) & (distance <= most) & (np.abs(bearing) <= half)
+    assert_array_equal(sensor.sees(poses, points), inside)
+    assert 0 < inside.sum() < 500
+
+
 # Noise -----------------------------------------------------------------------------------------
 
 
@@ -206,12 +288,15 @@ def test_range_noise_grows_with_the_range_alone():
     growth = np.zeros((3, 2, 2))
     growth[:, 0, 0] = [0.04, 0.25, 0.0]
     assert_allclose(covariances, NOISE + growth, rtol=1e-15)
+    alone = Sensor("range", NOISE[:1, :1], range_growth=0.1).covariances(values[:, :1])
+    assert_allclose(alone, (NOISE + growth)[:, :1, :1], rtol=1e-15)
 
 
 @each_kind
 def test_constant_noise_is_the_same_for_every_value(kind, rng):
-    covariances = Sensor(kind, NOISE).covariances(rng.normal(size=(4, 2)))
-    assert_array_equal(covariances, np.broadcast_to(NOISE, (4, 2, 2)))
+    noise = noise_of(kind)
+    covariances = Sensor(kind, noise).covariances(rng.normal(size=(4, len(noise))))
+    assert_array_equal(covariances, np.broadcast_to(noise, (4, *noise.shape)))
 
 
 # What is refused -------------------------------------------------------------------------------
@@ -235,6 +320,10 @@ def test_constant_noise_is_the_same_for_every_value(kind, rng):
         ({"range_growth": -0.1}, "range_growth of eye must be non-negative"),
         ({"range_growth": np.inf}, "range_growth of eye must be non-negative"),
         ({"kind": "xy", "range_growth": 0.1}, "needs a range"),
+        ({"kind": "bearing", "covariance": [[1]], "range_growth": 0.1}, "needs a range"),
+        ({"kind": "bearing"}, r"covariance of eye must have shape \(1, 1\), got \(2, 2\)"),
+        ({"kind": "range"}, r"covariance of eye must have shape \(1, 1\), got \(2, 2\)"),
+        ({"kind": "range", "covariance": [[-1]]}, "positive semi-definite"),
     ],
 )
 def test_settings_that_make_no_sense(settings, message):
