@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -28,13 +28,16 @@ FORMAT = "ekfslam-dataset"
 VERSION = 1
 
 
-def _told_apart(sensors: Iterable[Sensor]) -> tuple[Sensor, ...]:
-    """The sensors, numbered where they share a name."""
-    sensors = tuple(sensors)
-    names = [sensor.name for sensor in sensors]
+_Named = TypeVar("_Named", Sensor, Robot)
+
+
+def _told_apart(given: Iterable[_Named]) -> tuple[_Named, ...]:
+    """The sensors or robots, numbered where they share a name."""
+    given = tuple(given)
+    names = [one.name for one in given]
     return tuple(
-        sensor if names.count(sensor.name) == 1 else replace(sensor, name=f"{sensor.name}-{i}")
-        for i, sensor in enumerate(sensors, start=1)
+        one if names.count(one.name) == 1 else replace(one, name=f"{one.name}-{i}")
+        for i, one in enumerate(given, start=1)
     )
 
 
@@ -64,7 +67,7 @@ class Dataset:
     name : str
     robots : tuple of Robot
         All of them share the times of the poses; the column ``robot`` of the observations says
-        whose they are.
+        whose they are. Robots of the same name are numbered.
     times : (K + 1,) array_like
         Strictly increasing times of the poses [s].
     sensors : tuple of Sensor
@@ -101,7 +104,7 @@ class Dataset:
     def __post_init__(self) -> None:
         if not self.robots:
             raise InputError("a dataset needs at least one robot")
-        object.__setattr__(self, "robots", tuple(self.robots))
+        object.__setattr__(self, "robots", _told_apart(self.robots))
         object.__setattr__(self, "sensors", _told_apart(self.sensors))
         times = checked_array(self.times, float, (None,), "times")
         check_finite(times, "times")
