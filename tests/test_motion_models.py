@@ -14,6 +14,7 @@ from ekfslam.models.motion import KINDS, MotionModel
 
 WIDTH, WHEELBASE = 0.7, 2.83
 
+COMMANDED = [kind for kind in KINDS if kind != "none"]
 WHEELED = ["wheel-increments", "wheel-speeds", "wheel-speeds-euler"]
 TURNS = np.geomspace(1e-14, 3.0, 29)
 TURNS = np.concatenate([-TURNS[::-1], [0.0], TURNS])
@@ -25,7 +26,7 @@ def model(kind, **settings):
     if needed:
         settings.setdefault(needed, parameter[needed])
     if "proportional" not in settings:
-        settings.setdefault("covariance", np.eye(KINDS[kind].noisy))
+        settings.setdefault("covariance", np.eye(3 if kind == "none" else KINDS[kind].noisy))
     return MotionModel(kind, **settings)
 
 
@@ -50,7 +51,7 @@ def control_of_turn(kind, distance, turn):
 
 
 @pytest.mark.parametrize("distance", [1.3, -0.4, 0.0])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", COMMANDED)
 def test_jacobian_is_the_central_difference(kind, distance):
     motion = model(kind)
     for turn in TURNS:
@@ -60,7 +61,7 @@ def test_jacobian_is_the_central_difference(kind, distance):
         assert_allclose(jacobian[0], numeric, rtol=0, atol=1e-9, err_msg=f"turn {turn}")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", COMMANDED)
 def test_a_run_at_once_is_its_steps_one_by_one(kind):
     motion = model(kind, slip=0.01)
     controls = np.array([control_of_turn(kind, 0.9, turn) for turn in TURNS])
@@ -145,7 +146,7 @@ def test_wheels_turn_to_the_left_when_the_right_one_is_faster():
 # Noise -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", COMMANDED)
 def test_covariance_is_propagated_control_noise_and_slip(kind, rng):
     """Drawn controls pushed through the model itself, with a slip across the first heading."""
     size, slip = KINDS[kind].noisy, 2e-3
@@ -215,6 +216,21 @@ def test_dt_is_exact():
         assert model(kind).control_names[2] == "dt"
 
 
+def test_without_controls_the_increment_is_zero_and_its_noise_is_the_perturbation():
+    noise = np.array([[4e-4, 1e-4, 0], [1e-4, 2e-4, -5e-5], [0, -5e-5, 1e-4]])
+    held = MotionModel("none", noise, slip=0.1)
+    assert held.control_names == ()
+    assert held.noisy_controls == 0
+    deltas, jacobians = held.increment(np.zeros((4, 0)))
+    assert_array_equal(deltas, np.zeros((4, 3)))
+    assert jacobians.shape == (4, 3, 0)
+    increments = held.increments(np.zeros((4, 0)))
+    assert_array_equal(increments.deltas, deltas)
+    assert_allclose(increments.covariances, np.tile(noise + np.diag([0, 0.01, 0]), (4, 1, 1)))
+    assert_array_equal(held.covariance, noise)
+    assert MotionModel(**held.to_dict()) == held
+
+
 # What is refused -------------------------------------------------------------------------------
 
 
@@ -222,6 +238,9 @@ def test_dt_is_exact():
     ("settings", "message"),
     [
         ({"kind": "odometry"}, "give either covariance or proportional"),
+        ({"kind": "none"}, "give either covariance or proportional"),
+        ({"kind": "none", "covariance": np.eye(2)}, r"covariance must have shape \(3, 3\)"),
+        ({"kind": "none", "proportional": (0.1, 0.1)}, "is for wheels"),
         ({"kind": "odometry", "proportional": (0.1, 0.1)}, "is for wheels"),
         (
             {"kind": "wheel-increments", "width": 1, "covariance": [[1]]},
@@ -285,6 +304,11 @@ def test_unknown_kind_names_the_close_ones():
 def test_controls_of_the_wrong_shape_name_the_columns(controls):
     with pytest.raises(InputError, match="dh, dl, dtheta"):
         model("odometry").increments(controls)
+
+
+def test_a_control_for_a_model_without_controls():
+    with pytest.raises(InputError, match="controls of 'none' need the columns .none at all"):
+        model("none").increments(np.zeros((4, 3)))
 
 
 def test_covariance_is_a_read_only_copy():

@@ -14,10 +14,12 @@ wheel-speeds         vl, vr, dt     width    Ciatto, A.5; exact arc
 wheel-speeds-euler   vl, vr, dt     width    Ciatto, Eq. 2.1
 wheel-increments     l, r           width    notes on Brenner's lectures; exact arc
 car                  V, gamma, dt   wheelbase Bailey et al. 2006
+none                                         Solà, 1.4.1 (the control may be void)
 ==================== ============== ======== ==================================================
 
 Lengths in m, speeds in m/s, angles in rad, times in s. ``width`` is the distance between the
 wheels: 2L of Ciatto, W of the notes on Brenner's lectures. A ``dt`` is exact; the others are noisy.
+``none`` is a sensor in somebody's hand: the increment is zero and its noise is the perturbation.
 """
 
 from __future__ import annotations
@@ -114,11 +116,20 @@ def _car(u: Array, wheelbase: float) -> tuple[Array, Array]:
     return delta, jacobian
 
 
+def _none(u: Array) -> tuple[Array, Array]:
+    return np.zeros((len(u), 3)), np.zeros((len(u), 3, 0))
+
+
 class _Kind(NamedTuple):
     controls: tuple[str, ...]
     noisy: int  # the first so many controls carry noise
     parameter: str | None
     function: Callable[..., tuple[Array, Array]]
+
+    @property
+    def noises(self) -> int:
+        """How many numbers carry noise: controls, or the whole increment if there are none."""
+        return self.noisy or 3
 
 
 KINDS: Mapping[str, _Kind] = {
@@ -136,6 +147,7 @@ KINDS: Mapping[str, _Kind] = {
         ("l", "r"), 2, "width", lambda u, width: _from_wheels(_arc, u, width)
     ),
     "car": _Kind(("V", "gamma", "dt"), 2, "wheelbase", _car),
+    "none": _Kind((), 0, None, _none),
 }
 
 
@@ -149,7 +161,7 @@ class MotionModel:
         A name of the table above.
     covariance : (n, n) array_like, optional
         Constant covariance of the n noisy controls, in their units squared; off-diagonal terms
-        (correlated wheels) allowed.
+        (correlated wheels) allowed. Of kind ``none``: (3, 3), of the increment itself.
     proportional : (float, float), optional
         p1 and p2 of the notes on Brenner's lectures, for the kinds with a left and a right wheel:
         ``sigma_l^2 = (p1 l)^2 + (p2 (l - r))^2``, and the same for r. Per-wheel distance, or
@@ -202,7 +214,7 @@ class MotionModel:
             object.__setattr__(self, "proportional", (p1, p2))
         else:
             object.__setattr__(
-                self, "covariance", checked_covariance(self.covariance, kind.noisy, "covariance")
+                self, "covariance", checked_covariance(self.covariance, kind.noises, "covariance")
             )
 
     @property
@@ -233,15 +245,16 @@ class MotionModel:
         controls = np.asarray(controls, dtype=float)
         kind = KINDS[self.kind]
         if controls.ndim != 2 or controls.shape[1] != len(kind.controls):
+            columns = ", ".join(kind.controls) or "(none at all)"
             raise InputError(
-                f"controls of {self.kind!r} need the columns {', '.join(kind.controls)}; "
+                f"controls of {self.kind!r} need the columns {columns}; "
                 f"got an array of shape {controls.shape}"
             )
         parameter = {kind.parameter: getattr(self, kind.parameter)} if kind.parameter else {}
         return kind.function(controls, **parameter)
 
     def control_covariances(self, controls: Any) -> Array:
-        """Covariance of the noisy controls, (K, n, n)."""
+        """Covariance of the noisy controls, (K, n, n); of kind ``none``, of the increments."""
         controls = np.asarray(controls, dtype=float)
         if self.covariance is not None:
             return np.broadcast_to(self.covariance, (len(controls), *self.covariance.shape))
@@ -257,6 +270,8 @@ class MotionModel:
     def increments(self, controls: Any) -> Increments:
         """Increments of a run with their body covariances ``J Sigma_u J' + slip``.
 
+        Without controls, the perturbation's covariance stands for ``J Sigma_u J'``.
+
         Parameters
         ----------
         controls : (K, m) array_like
@@ -268,9 +283,11 @@ class MotionModel:
             `BetweenFactorPose2` wants it rotated into the frame of the second.
         """
         deltas, jacobians = self.increment(controls)
-        covariances = congruence(
-            jacobians[:, :, : self.noisy_controls], self.control_covariances(controls)
-        )
+        noise = self.control_covariances(controls)
+        if self.noisy_controls:
+            covariances = congruence(jacobians[:, :, : self.noisy_controls], noise)
+        else:
+            covariances = noise.copy()
         covariances[:, 1, 1] += self.slip**2
         return Increments(deltas, covariances)
 
