@@ -220,8 +220,8 @@ class Sightings(NamedTuple):
         pairs = np.column_stack([landmark, target, look])[known]
         if len(np.unique(pairs, axis=0)) < len(pairs):
             raise InputError("one sensor cannot see the same thing twice at the same instant")
-        columns = (kind, mount, values, covariance, landmark, look)
-        columns += (robot, target, limits, descriptor)
+        first = (kind, mount, values, covariance, landmark, look)
+        columns = (*first, robot, target, limits, descriptor)
         return Sightings(*(column.copy() for column in columns))
 
     def rows(self, start: int, stop: int) -> Sightings:

@@ -13,7 +13,7 @@ from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.simulation import Scenario, load_scenario, simulate
 from ekfslam.simulation import scenarios as shipped
-from ekfslam.simulation.simulate import _shaped
+from ekfslam.simulation.draws import shaped
 
 CORRELATED = np.array([[4e-4, 3e-4, 0], [3e-4, 9e-4, -1e-4], [0, -1e-4, 1e-4]])
 
@@ -117,7 +117,7 @@ def test_same_seed_same_bytes_and_another_seed_another_draw(name, tmp_path):
 
 def test_memory_chunks_do_not_change_the_draw(monkeypatch):
     whole = simulate(two_sensors(), seed=5)
-    module = import_module("ekfslam.simulation.simulate")
+    module = import_module("ekfslam.simulation.sightings")
     monkeypatch.setattr(module, "PAIRS_AT_ONCE", 17)
     chunked = simulate(two_sensors(), seed=5)
     np.testing.assert_array_equal(whole.observations.values, chunked.observations.values)
@@ -299,7 +299,7 @@ def test_drawn_heading_is_wrapped():
 
 @pytest.mark.parametrize("covariance", [CORRELATED, np.diag([1.0, 0, 0]), np.zeros((3, 3))])
 def test_shaping_is_a_square_root(covariance):
-    root = _shaped(np.broadcast_to(covariance, (3, 3, 3)), np.eye(3))
+    root = shaped(np.broadcast_to(covariance, (3, 3, 3)), np.eye(3))
     np.testing.assert_allclose(root @ root.T, covariance, atol=1e-15)
     np.testing.assert_allclose(root, root.T, atol=1e-15)
 

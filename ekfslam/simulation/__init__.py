@@ -1,6 +1,8 @@
 """Simulated datasets: worlds, paths and scenarios by name or from a TOML file."""
 
-from ekfslam.simulation.scenario import Scenario, load_scenario, scenarios
+from ekfslam.simulation.plans import RobotPlan, SensorPlan
+from ekfslam.simulation.reading import load_scenario, scenarios
+from ekfslam.simulation.scenario import Scenario
 from ekfslam.simulation.simulate import simulate
 
-__all__ = ["Scenario", "load_scenario", "scenarios", "simulate"]
+__all__ = ["RobotPlan", "Scenario", "SensorPlan", "load_scenario", "scenarios", "simulate"]

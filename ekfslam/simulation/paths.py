@@ -105,7 +105,26 @@ def figure_eight(centre: Array, amplitude: Array, spacing: float, laps: float = 
     return Path(poses[0], geo.between(poses[:-1], poses[1:]), "odometry")
 
 
+def unguided(start: Array, steps: int) -> Path:
+    """No command at all, for the motion model ``none``: the path is what the noise makes of it.
+
+    Parameters
+    ----------
+    start : (3,) array_like
+    steps : int
+
+    Raises
+    ------
+    InputError
+        If `steps` is below 1.
+    """
+    if steps < 1:
+        raise InputError(f"steps must be at least 1, got {steps}")
+    return Path(np.asarray(start, dtype=float), np.zeros((steps, 0)), "none")
+
+
 PATHS: Mapping[str, Callable[..., Path]] = {
     "controls": repeated,
     "figure-eight": figure_eight,
+    "unguided": unguided,
 }

@@ -1,6 +1,6 @@
-"""Scenarios: a world, a path, a motion model and sensors, by name or from a TOML file.
+"""Scenarios: a world, robots with their paths and motion models, and sensors.
 
-A scenario file::
+`ekfslam.simulation.load_scenario` reads one by name or from a TOML file::
 
     description = "A square of four landmarks."
     association = "known"         # or "unknown": observations carry no identity
@@ -9,12 +9,17 @@ A scenario file::
     observe_start = false         # whether pose 0 observes too
     observe_every = 1             # observe at every so many poses
     new_landmarks_per_step = 1    # optional; see `Scenario`
+    clutter = 0.3                 # optional: spurious sightings per look
+    wrong_ids = 0.01              # optional: share of sightings that carry another's identity
+    descriptor_sigma = 0.02       # optional: noise of the descriptors of the world
 
     [world]                       # kind and parameters of a function in ekfslam.simulation.worlds
     kind = "points"
     landmarks = [[0, 0], [4, 0], [4, 4], [0, 4]]
+    descriptors = [0.2, 0.5]      # optional: one number of each landmark, such as a diameter [m];
+                                  # a list that is too short starts again
 
-    [path]                        # the same, of ekfslam.simulation.paths
+    [path]                        # the same as the world, of ekfslam.simulation.paths
     kind = "controls"
     start = [2, 0, 0]
     controls = [[0.1, "3 deg"]]
@@ -23,17 +28,30 @@ A scenario file::
     [motion]                      # parameters of ekfslam.models.motion.MotionModel
     kind = "advance-turn"
     sigmas = [0.01, "1 deg"]
-    slip = 0.001                  # the default for two noisy controls, 0 for three
-
-    [[sensors]]                   # parameters of ekfslam.models.sensors.Sensor, one table each
-    kind = "range-bearing"
-    sigmas = [0.1, "1 deg"]
-    max_range = 5.0
+    slip = 0.001                  # the default for two noisy controls, 0 otherwise
 
     [prior]                       # optional: an exactly known start is the default
     sigmas = [0.1, 0.1, "2 deg"]
     mean = [2, 0, 0]              # the true start by default
     draw = true                   # draw the mean of the prior about `mean`; false by default
+
+    [[sensors]]                   # parameters of ekfslam.models.sensors.Sensor, one table each
+    kind = "range-bearing"
+    sigmas = [0.1, "1 deg"]       # one number for a bearing or a range alone
+    max_range = 5.0
+    every = 2                     # optional: looks at the poses offset, offset + every, ...
+    offset = 1
+    robots = ["one"]              # optional: who carries it, all by default
+    mutual = true                 # optional: sees other robots, too
+
+Several robots have a table each instead of the tables path, motion and prior; they make the same
+number of steps at the same times::
+
+    [[robots]]
+    name = "one"
+    [robots.path]                 # as [path] above
+    [robots.motion]               # as [motion] above
+    [robots.prior]                # as [prior] above
 
 Numbers are in SI units and radians; a string such as ``"3 deg"`` stands for an angle in degrees.
 Wherever a ``covariance`` is asked for, standard deviations ``sigmas`` may be given instead; a
@@ -42,31 +60,18 @@ covariance itself takes no degrees.
 
 from __future__ import annotations
 
-import re
-import tomllib
-from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
-from importlib.resources import files
-from importlib.resources.abc import Traversable
-from inspect import Parameter, signature
-from os import PathLike
-from pathlib import Path
-from types import UnionType
-from typing import Any, get_args, get_type_hints
+from functools import cached_property
 
 import numpy as np
 
-from ekfslam.dataset import LandmarkMap, Prior
-from ekfslam.errors import EkfslamError, FileFormatError, InputError, UnknownNameError
+from ekfslam.checks import check_finite, checked_array
+from ekfslam.errors import InputError
 from ekfslam.geometry import Array
-from ekfslam.models.motion import KINDS, MotionModel
-from ekfslam.models.sensors import Sensor
-from ekfslam.simulation.paths import PATHS
-from ekfslam.simulation.worlds import WORLDS
-
-DEFAULT_SLIP = 1e-3  # [m] per step: two noisy controls alone make a singular covariance
-_DEGREES = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*deg\s*")
+from ekfslam.models.motion import MotionModel
+from ekfslam.models.sensors import BEARING, Sensor
+from ekfslam.robots import LandmarkMap, Prior
+from ekfslam.simulation.plans import RobotPlan, SensorPlan
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,27 +85,24 @@ class Scenario:
     name : str
     landmarks : LandmarkMap
         The world.
-    start : (3,) array_like
-        True first pose [m, m, rad].
-    controls : (K, m) array_like
-        Commands, in the columns of the motion model.
-    motion : MotionModel
-        With the noise and the slip that are both simulated and stated in the dataset.
-    sensors : tuple of Sensor
-        The same for the noise of measurements.
+    start, controls, motion
+        Of the robot, or the first one; see `RobotPlan`.
+    sensors : tuple of Sensor or SensorPlan
+        With the noise that is both simulated and stated in the dataset. A `SensorPlan` says who
+        carries it, when it looks, and whether it sees robots; a `Sensor` is carried by all and
+        always looks.
     description : str
     association : {"known", "unknown"}
         Whether observations carry the identity of their landmark.
     noise_on : {"odometry", "motion"}
         "odometry": the truth follows the command and the measured controls are perturbed;
         "motion": the truth is disturbed and the measured controls are the command. Lateral slip
-        has no control that could measure it and disturbs the truth in both.
+        has no control that could measure it and disturbs the truth in both. A motion model without
+        controls needs "motion".
     time_step : float, optional
         Time from pose to pose [s], 1 by default. Motion models with a dt take theirs from it.
-    prior : Prior, optional
-        What the dataset states of the first pose; exactly the true start by default.
-    draw_prior : bool
-        Draw the prior's mean from a Gaussian with its covariance about its mean.
+    prior, draw_prior
+        Of the robot, or the first one; see `RobotPlan`.
     observe_start : bool
         Whether pose 0 observes too; a step is otherwise a motion and then a look.
     observe_every : int
@@ -109,6 +111,20 @@ class Scenario:
         Drop the sightings of all but so many landmarks, picked at random, of those that have not
         been seen before: the policy of Solà's demo (C.3, with 1), made part of the data so that
         every estimator solves the same problem. Off by default.
+    team : tuple of RobotPlan
+        Further robots, with as many steps at the same times.
+    robot_name : str
+        Of the first robot.
+    clutter : float
+        Mean number of spurious sightings in a look, one sensor at one pose: Poisson, uniform over
+        what the sensor sees. They carry no identity.
+    wrong_ids : float
+        Share of the sightings of landmarks that carry the identity of one that is not in the look,
+        each with the same probability. For a known association.
+    descriptors : (L,) array_like, optional
+        One number of each landmark that its sightings report, such as a trunk diameter [m].
+    descriptor_sigma : float
+        Standard deviation of the noise of descriptors.
 
     Raises
     ------
@@ -131,6 +147,12 @@ class Scenario:
     observe_start: bool = False
     observe_every: int = 1
     new_landmarks_per_step: int | None = None
+    team: tuple[RobotPlan, ...] = ()
+    robot_name: str = "robot"
+    clutter: float = 0.0
+    wrong_ids: float = 0.0
+    descriptors: Array | None = None
+    descriptor_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         for name, known in (
@@ -139,256 +161,131 @@ class Scenario:
         ):
             if getattr(self, name) not in known:
                 raise InputError(f"{name} must be {' or '.join(map(repr, known))}")
-        if self.time_step is not None:
-            if "dt" in self.motion.control_names:
-                raise InputError(f"time_step is the dt of {self.motion.kind!r} controls; leave out")
-            if not (np.isfinite(self.time_step) and self.time_step > 0):
-                raise InputError(f"time_step must be positive, got {self.time_step}")
-        if self.observe_every < 1:
-            raise InputError(f"observe_every must be at least 1, got {self.observe_every}")
-        if self.new_landmarks_per_step is not None and self.new_landmarks_per_step < 1:
-            raise InputError(
-                f"new_landmarks_per_step must be at least 1, got {self.new_landmarks_per_step}"
-            )
-        self._check_arrays()
+        if self.time_step is not None and not (np.isfinite(self.time_step) and self.time_step > 0):
+            raise InputError(f"time_step must be positive, got {self.time_step}")
+        for name in ("observe_every", "new_landmarks_per_step"):
+            count = getattr(self, name)
+            if count is not None and count < 1:
+                raise InputError(f"{name} must be at least 1, got {count}")
         object.__setattr__(self, "sensors", tuple(self.sensors))
+        object.__setattr__(self, "team", tuple(self.team))
+        for name in ("start", "controls"):
+            object.__setattr__(self, name, getattr(self.robot_plans[0], name))
+        self._check_robots()
+        self._check_sensors()
+        self._check_descriptors()
 
-    def _check_arrays(self) -> None:
-        names = self.motion.control_names
-        start, controls = np.array(self.start, float), np.array(self.controls, float)
-        if start.shape != (3,):
-            raise InputError("start must be a pose (x, y, theta)")
-        if controls.ndim != 2 or controls.shape[1] != len(names):
-            raise InputError(f"controls of {self.motion.kind!r} need {', '.join(names)}")
-        for name, array in (("start", start), ("controls", controls)):
-            if not np.isfinite(array).all():
-                raise InputError(f"{name} holds NaN or infinite values")
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+    def _check_robots(self) -> None:
+        names = [plan.name for plan in self.robot_plans]
+        if len(set(names)) < len(names):
+            raise InputError(f"robots need names of their own, got {', '.join(names)}")
+        for plan in self.robot_plans:
+            if len(plan.controls) != len(self.controls):
+                raise InputError(
+                    f"robots make the same number of steps, but {plan.name} makes "
+                    f"{len(plan.controls)} and {names[0]} {len(self.controls)}"
+                )
+            if plan.times is not None:
+                if self.time_step is not None:
+                    kind = plan.motion.kind
+                    raise InputError(f"time_step is the dt of {kind!r} controls; leave out")
+                if not np.allclose(plan.times, self.times):
+                    raise InputError(f"the dt of {plan.name}'s controls differ from another's")
+            if not plan.motion.control_names and self.noise_on == "odometry":
+                raise InputError(
+                    f"{plan.name} has no control to measure (motion {plan.motion.kind!r}): "
+                    "set noise_on to 'motion'"
+                )
+
+    def _check_sensors(self) -> None:
+        names = {plan.name for plan in self.robot_plans}
+        for sensor in self.sensor_plans:
+            for name in sensor.robots or ():
+                if name not in names:
+                    known = ", ".join(sorted(names))
+                    raise InputError(f"{sensor.name} is of no robot {name!r}; known: {known}")
+            if sensor.mutual and len(names) == 1:
+                raise InputError(f"mutual of {sensor.name} needs several robots")
+            endless = not np.isfinite(sensor.max_range) and sensor.view.code != BEARING
+            if self.clutter and endless:
+                raise InputError(f"clutter needs a max_range of {sensor.name}")
+        if not 0 <= self.clutter < np.inf:
+            raise InputError(f"clutter must be a non-negative mean, got {self.clutter}")
+        if not 0 <= self.wrong_ids <= 1:
+            raise InputError(f"wrong_ids must be a share from 0 to 1, got {self.wrong_ids}")
+        if self.wrong_ids and self.association == "unknown":
+            raise InputError("wrong_ids needs sightings that carry identities: a known association")
+
+    def _check_descriptors(self) -> None:
+        if not 0 <= self.descriptor_sigma < np.inf:
+            raise InputError(f"descriptor_sigma must not be negative, got {self.descriptor_sigma}")
+        if self.descriptors is None:
+            if self.descriptor_sigma:
+                raise InputError("descriptor_sigma needs descriptors of the world")
+            return
+        shape = (len(self.landmarks),)
+        descriptors = checked_array(self.descriptors, float, shape, "descriptors")
+        check_finite(descriptors, "descriptors")
+        object.__setattr__(self, "descriptors", descriptors)
+
+    @cached_property
+    def robot_plans(self) -> tuple[RobotPlan, ...]:
+        """All robots."""
+        first = RobotPlan(
+            self.start, self.controls, self.motion, self.prior, self.draw_prior, self.robot_name
+        )
+        return (first, *self.team)
+
+    @cached_property
+    def sensor_plans(self) -> tuple[SensorPlan, ...]:
+        """The sensors, with what a plain one leaves open."""
+        return tuple(
+            sensor if isinstance(sensor, SensorPlan) else SensorPlan(**sensor.to_dict())
+            for sensor in self.sensors
+        )
 
     @property
     def times(self) -> Array:
         """Times of the poses [s], (K + 1,)."""
-        names = self.motion.control_names
-        if "dt" in names:
-            return np.concatenate([[0.0], np.cumsum(self.controls[:, names.index("dt")])])
+        for plan in self.robot_plans:
+            if plan.times is not None:
+                return plan.times
         step = 1.0 if self.time_step is None else self.time_step
         return step * np.arange(len(self.controls) + 1, dtype=float)
 
+    def looks(self, sensor: SensorPlan) -> np.ndarray:
+        """Whether a sensor looks at each pose, (K + 1,) of bool."""
+        steps = np.arange(len(self.controls) + 1)
+        looking = (steps % self.observe_every == 0) & ((steps > 0) | self.observe_start)
+        return looking & sensor.looks(steps)
+
     def describe(self) -> str:
         """What it is, in one line."""
-        length = np.hypot(*self.motion.increment(self.controls)[0][:, :2].T).sum()
+        plans = self.robot_plans
+        lengths = " and ".join(f"{plan.length:.0f}" for plan in plans)
+        guided = any(plan.motion.control_names for plan in plans)
         facts = [
             f"{len(self.landmarks)} landmarks",
-            f"{len(self.controls)} steps over {length:.0f} m",
-            f"{self.motion.kind} motion",
-            " and ".join(sensor.kind for sensor in self.sensors) or "no sensor",
+            f"{len(plans)} robots" if self.team else "",
+            f"{len(self.controls)} steps" + (f" over {lengths} m" if guided else ""),
+            " and ".join(dict.fromkeys(plan.motion.kind for plan in plans)) + " motion",
+            " and ".join(map(_in_words, self.sensor_plans)) or "no sensor",
             f"noise on the {self.noise_on}",
+            f"clutter {self.clutter:g} per look" if self.clutter else "",
+            f"wrong identities {self.wrong_ids:.3g}" if self.wrong_ids else "",
+            "descriptors" if self.descriptors is not None else "",
             f"association {self.association}",
         ]
-        return f"{self.description} [{'; '.join(facts)}]".strip()
+        return f"{self.description} [{'; '.join(filter(None, facts))}]".strip()
 
 
-def scenarios() -> tuple[str, ...]:
-    """Names of the scenarios that come with the package, sorted."""
-    return tuple(sorted(_shipped()))
-
-
-def load_scenario(scenario: str | PathLike[str]) -> Scenario:
-    """The scenario of a name or of a TOML file.
-
-    Parameters
-    ----------
-    scenario : str or path
-        A name of `scenarios`, or a path that ends in ``.toml``; the scenario is then called after
-        its file.
-
-    Raises
-    ------
-    UnknownNameError
-        For a name that no scenario carries; lists close ones.
-    FileFormatError
-        If the file is missing or no TOML; the message says the line.
-    InputError
-        For unknown or missing keys and values that make no sense; the message names the file,
-        the table and the key.
-    """
-    shipped = _shipped()
-    file: Path | Traversable
-    if str(scenario) in shipped:
-        file, where = shipped[str(scenario)], str(scenario)
-    elif Path(scenario).suffix == ".toml":
-        file, where = Path(scenario), str(scenario)
-    else:
-        raise UnknownNameError("scenario", str(scenario), shipped)
-    try:
-        document = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise FileFormatError(f"{where}: {error}") from None
-    except OSError as error:
-        reason = "no such file" if isinstance(error, FileNotFoundError) else error.strerror
-        raise FileFormatError(f"{where}: {reason}") from None
-    return _build(Path(file.name).stem, document, where)
-
-
-def _shipped() -> dict[str, Traversable]:
-    folder = files("ekfslam.simulation") / "scenarios"
-    return {Path(f.name).stem: f for f in folder.iterdir() if f.name.endswith(".toml")}
-
-
-# From a TOML document to a scenario --------------------------------------------------------------
-#
-# The signature of what a table stands for says which keys it may hold, which it must, and of what
-# type: nothing is said twice.
-
-_TABLES = ("world", "path", "motion", "sensors", "prior")
-_RESOLVED = ("name", "landmarks", "start", "controls", "draw_prior")  # made from the tables
-
-
-def _build(name: str, document: dict[str, Any], where: str) -> Scenario:
-    settings = {key: value for key, value in document.items() if key not in _TABLES}
-    settings = _arguments(Scenario, settings, where, skip=(*_TABLES, *_RESOLVED), also=_TABLES)
-
-    def section(key: str) -> tuple[dict[str, Any], str]:
-        table = document.get(key)
-        if table is None:
-            raise InputError(f"{where}: the table [{key}] is missing")
-        if not isinstance(table, dict):
-            raise InputError(f"{where}: [{key}] must be a table, got {table!r}")
-        return table, f"{where}: [{key}]"
-
-    positions = _of_kind(WORLDS, *section("world"))
-    path = _of_kind(PATHS, *section("path"))
-    motion = _motion(*section("motion"))
-    if path.motion not in (None, motion.kind):
-        raise InputError(f"{where}: this path needs the motion kind {path.motion!r}")
-    sensors = document.get("sensors", [])
-    if not (isinstance(sensors, list) and sensors and all(isinstance(s, dict) for s in sensors)):
-        raise InputError(f"{where}: at least one table [[sensors]] is needed")
-    prior, draw_prior = None, False
-    if "prior" in document:
-        prior, draw_prior = _prior(path.start, *section("prior"))
-    resolved = {
-        "name": name,
-        "landmarks": _call(LandmarkMap, where, ids=range(len(positions)), positions=positions),
-        "start": path.start,
-        "controls": path.controls,
-        "motion": motion,
-        "sensors": tuple(
-            _filled(Sensor, table, f"{where}: [[sensors]] {number}")
-            for number, table in enumerate(sensors, start=1)
-        ),
-        "prior": prior,
-        "draw_prior": draw_prior,
-    }
-    return _call(Scenario, where, **resolved, **settings)
-
-
-def _motion(table: dict[str, Any], where: str) -> MotionModel:
-    kind = table.get("kind")
-    if isinstance(kind, str) and kind in KINDS and KINDS[kind].noisy == 2:
-        table = {"slip": DEFAULT_SLIP, **table}
-    return _filled(MotionModel, table, where)
-
-
-def _prior(start: Array, table: dict[str, Any], where: str) -> tuple[Prior, bool]:
-    draw = table.get("draw", False)
-    if not isinstance(draw, bool):
-        raise InputError(f"{where}: draw must be true or false, got {draw!r}")
-    rest = {"mean": start.tolist(), **{key: v for key, v in table.items() if key != "draw"}}
-    return _filled(Prior, rest, where, also=("draw",)), draw
-
-
-def _of_kind(kinds: Mapping[str, Callable[..., Any]], table: dict[str, Any], where: str) -> Any:
-    """Call the function that the table's ``kind`` names with the rest of the table."""
-    if "kind" not in table:
-        raise InputError(f"{where}: missing key 'kind'; known: {', '.join(kinds)}")
-    kind = _read(table["kind"], str, f"{where}: kind")
-    if kind not in kinds:
-        raise InputError(f"{where}: {UnknownNameError('kind', kind, kinds)}")
-    rest = {key: value for key, value in table.items() if key != "kind"}
-    return _filled(kinds[kind], rest, where, also=("kind",))
-
-
-def _filled(
-    target: Callable[..., Any], table: dict[str, Any], where: str, also: Collection[str] = ()
-) -> Any:
-    return _call(target, where, **_arguments(target, table, where, also=also))
-
-
-def _call(target: Callable[..., Any], where: str, **arguments: Any) -> Any:
-    """Call, and say in the error of a value that makes no sense where it was read."""
-    try:
-        return target(**arguments)
-    except (EkfslamError, TypeError, ValueError) as error:
-        raise InputError(f"{where}: {error}") from None
-
-
-def _arguments(
-    target: Callable[..., Any],
-    table: dict[str, Any],
-    where: str,
-    skip: Collection[str] = (),
-    also: Collection[str] = (),
-) -> dict[str, Any]:
-    """A table as arguments of `target`, checked against its signature.
-
-    `skip` are parameters that no key may give, `also` further keys to propose for a misspelt one.
-    """
-    parameters = {k: p for k, p in signature(target).parameters.items() if k not in skip}
-    shorthand = ("sigmas",) if "covariance" in parameters else ()
-    for key in table:
-        if key not in parameters and key not in shorthand:
-            known = [*parameters, *shorthand, *also]
-            close = get_close_matches(key, known, n=2)
-            hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(known)}"
-            raise InputError(f"{where}: unknown key {key!r}; {hint}")
-    if "sigmas" in table and "covariance" in table:
-        raise InputError(f"{where}: give either covariance or sigmas")
-    hints = get_type_hints(target)
-    values = {k: _read(v, hints[k], f"{where}: {k}") for k, v in table.items() if k in parameters}
-    if "sigmas" in table:
-        sigmas = _read(table["sigmas"], Array, f"{where}: sigmas")
-        if sigmas.ndim != 1:
-            raise InputError(f"{where}: sigmas must be one number for each noisy value")
-        if (sigmas < 0).any():
-            raise InputError(f"{where}: sigmas must not be negative")
-        values["covariance"] = np.diag(sigmas**2)
-    for key, parameter in parameters.items():
-        if parameter.default is Parameter.empty and key not in values:
-            alternative = " or 'sigmas'" if key == "covariance" else ""
-            raise InputError(f"{where}: missing key {key!r}{alternative}")
-    return values
-
-
-def _read(value: Any, hint: Any, where: str) -> Any:
-    """A TOML value as the type of a parameter: text, flag, whole number, number or array."""
-    allowed = get_args(hint) if isinstance(hint, UnionType) else (hint,)
-    if float in allowed:
-        return _number(value, where)
-    for kind, name in ((str, "text"), (bool, "true or false"), (int, "a whole number")):
-        if kind in allowed:
-            if type(value) is not kind:
-                raise InputError(f"{where} must be {name}, got {value!r}")
-            return value
-    if not isinstance(value, list):
-        raise InputError(f"{where} must be a list of numbers, got {value!r}")
-    rows = _numbers(value, where)
-    try:
-        return np.array(rows)
-    except ValueError:
-        raise InputError(f"{where} has rows of different lengths") from None
-
-
-def _numbers(value: Any, where: str) -> Any:
-    return [_numbers(v, where) for v in value] if isinstance(value, list) else _number(value, where)
-
-
-def _number(value: Any, where: str) -> float:
-    # Degrees squared are not meant by a string in a covariance; it is refused like any other.
-    degrees = isinstance(value, str) and not where.endswith(": covariance")
-    if degrees and (angle := _DEGREES.fullmatch(value)):
-        return float(np.deg2rad(float(angle[1])))
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{where} must be a number (or an angle like '3 deg'), got {value!r}")
-    return float(value)
+def _in_words(sensor: SensorPlan) -> str:
+    """What a sensor is, who carries it, how often it looks, and whether it sees robots."""
+    words = [sensor.kind]
+    if sensor.robots is not None:
+        words.append(f"of {', '.join(sensor.robots)}")
+    if sensor.every > 1:
+        words.append(f"every {sensor.every} steps")
+    if sensor.mutual:
+        words.append("of landmarks and robots")
+    return " ".join(words)
