@@ -262,7 +262,7 @@ class Scenario:
     def describe(self) -> str:
         """What it is, in one line."""
         plans = self.robot_plans
-        lengths = " and ".join(f"{plan.length:.0f}" for plan in plans)
+        lengths = " and ".join(dict.fromkeys(f"{plan.length:.0f}" for plan in plans))
         guided = any(plan.motion.control_names for plan in plans)
         facts = [
             f"{len(self.landmarks)} landmarks",
