@@ -1,22 +1,26 @@
-"""Which estimated landmark is which true one, and the counts of missed and spurious ones."""
+"""Which estimated landmark is held against which true one."""
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
 
+from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset, LandmarkMap, Observations, Robot
-from ekfslam.estimates import Decision, Estimate, Innovations, LandmarkEstimates
+from ekfslam.errors import InputError
+from ekfslam.estimates import Estimate, LandmarkEstimates
 from ekfslam.evaluation import match_landmarks
-from ekfslam.evaluation.landmarks import common_landmarks, true_positions
+from ekfslam.evaluation.landmarks import common_landmarks, map_ids, true_positions
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
 
-ACCEPTED, NEW = Decision.ACCEPTED, Decision.NEW
+IDS = [5, 1, 3, 7]
+POSITIONS = np.array([[5.0, 50.0], [1.0, 10.0], [3.0, 30.0], [7.0, 70.0]])
 
 
 def dataset_of(origin, landmark=None, **changes):
-    """A robot that stands and sees landmarks; landmark 7 is in the map but never seen."""
+    """A robot that stands and sees landmarks 1, 3, 5 and 7 at (id, 10 id)."""
     count = len(origin)
     robot = Robot(MotionModel("odometry", covariance=np.eye(3)), np.zeros((count, 3)))
     data = Dataset(
@@ -25,133 +29,146 @@ def dataset_of(origin, landmark=None, **changes):
         np.arange(count + 1.0),
         (Sensor("xy", np.eye(2)),),
         Observations(np.arange(count), np.zeros((count, 2)), landmark),
-        true_map=LandmarkMap([5, 1, 3, 7], [[5, 50], [1, 10], [3, 30], [7, 70]]),
+        true_map=LandmarkMap(IDS, POSITIONS),
         true_landmark=origin,
     )
     return replace(data, **changes)
 
 
-def estimate_of(ids, taken_for=None, decision=None, association="nearest"):
-    innovations = None
-    if taken_for is not None:
-        count = len(taken_for)
-        decision = [ACCEPTED] * count if decision is None else decision
-        innovations = Innovations(
-            np.array(decision),
-            np.array(taken_for),
-            np.full((count, 2), np.nan),
-            np.full((count, 2, 2), np.nan),
-        )
-    landmarks = LandmarkEstimates(np.array(ids, dtype=int), np.zeros((len(ids), 2)))
-    return Estimate("filter", "stand", association, landmarks=landmarks, innovations=innovations)
+def estimate_of(positions, association="nearest", ids=None):
+    positions = np.asarray(positions, dtype=float).reshape(-1, 2)
+    ids = np.arange(len(positions)) if ids is None else np.array(ids)
+    return Estimate("filter", "stand", association, landmarks=LandmarkEstimates(ids, positions))
 
 
-def counts(match):
-    return match.true, match.missed, match.spurious
+def known(ids):
+    """A map a kilometre off, with identities of the dataset's own."""
+    return estimate_of(np.full((len(ids), 2), 1e3), "known", ids)
 
 
-def test_known_identities_match_themselves():
+def matched(data, estimate, *arguments):
+    return match_landmarks(data, estimate, *arguments).tolist()
+
+
+# Known association -----------------------------------------------------------------------------
+
+
+def test_known_identities_match_themselves_at_any_distance():
     data = dataset_of([1, 1, 3, 5], landmark=[1, 1, 3, 5])
-    match = match_landmarks(data, estimate_of([5, 1, 9], association="known"))
-    assert match.true_landmark.tolist() == [5, 1, -1]
-    assert counts(match) == (3, 1, 1)
+    assert matched(data, known([5, 1, 9])) == [5, 1, -1]
 
 
-def test_known_identities_count_without_any_truth():
+def test_known_identities_match_without_any_truth():
     data = dataset_of([1, 1, 3, 5], landmark=[1, 1, 3, 5], true_map=None, true_landmark=None)
-    match = match_landmarks(data, estimate_of([5, 1], association="known"))
-    assert match.true_landmark.tolist() == [5, 1]
-    assert counts(match) == (3, 1, 0)
+    assert matched(data, known([5, 1, 9])) == [5, 1, -1]
 
 
-def test_a_landmark_of_the_map_that_was_never_seen_is_not_spurious():
-    data = dataset_of([1, 1], landmark=[1, 1])
-    match = match_landmarks(data, estimate_of([1, 7], association="known"))
-    assert match.true_landmark.tolist() == [1, 7]
-    assert counts(match) == (1, 0, 0)
+def test_a_landmark_of_the_map_that_was_never_seen_matches_itself():
+    assert matched(dataset_of([1, 1], landmark=[1, 1]), known([1, 7])) == [1, 7]
 
 
 def test_an_estimate_that_states_no_association_follows_the_dataset():
-    known = dataset_of([1, 3], landmark=[1, 3])
-    assert match_landmarks(known, estimate_of([3], association="")).true_landmark.tolist() == [3]
-    unknown = dataset_of([1, 3])
-    match = match_landmarks(unknown, estimate_of([3], [3, -1], association=""))
-    assert match.true_landmark.tolist() == [1]
-
-
-def test_own_identities_are_matched_by_the_majority_of_sightings():
-    data = dataset_of([3, 3, 1, 1, 1, 5])
-    match = match_landmarks(data, estimate_of([0, 1], [0, 0, 0, 1, 1, 1]))
-    assert match.true_landmark.tolist() == [3, 1]
-    assert counts(match) == (3, 1, 0)
+    estimate = replace(known([3]), association="")
+    assert matched(dataset_of([1, 3], landmark=[1, 3]), estimate) == [3]
+    assert matched(dataset_of([1, 3]), estimate) == [-1]
+    assert matched(dataset_of([1, 3]), replace(estimate_of([3.1, 30.1]), association="")) == [3]
 
 
 def test_identities_of_the_estimate_are_no_identities_of_the_dataset():
     # The dataset knows who is who, but the estimate was asked to find out itself.
     data = dataset_of([3, 1], landmark=[3, 1])
-    assert match_landmarks(data, estimate_of([1, 3], [1, 3])).true_landmark.tolist() == [3, 1]
+    assert matched(data, estimate_of([[3, 30], [1, 10]], ids=[1, 3])) == [3, 1]
 
 
-def test_of_equally_many_sightings_the_lowest_identity_wins():
-    data = dataset_of([5, 3, 3, 5])
-    assert match_landmarks(data, estimate_of([0], [0, 0, 0, 0])).true_landmark.tolist() == [3]
+# Assignment ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("origin", "true"), [([-1, 3], 3), ([-1, -1, 3], -1)])
-def test_clutter_wins_only_as_a_majority(origin, true):
-    match = match_landmarks(dataset_of(origin), estimate_of([0], [0] * len(origin)))
-    assert match.true_landmark.tolist() == [true]
+def cost_of(points, truth, radius):
+    """Least cost of any assignment, by trying them all."""
+    count, least = len(points), np.inf
+    # As many places to be alone in as there are points.
+    for places in permutations(range(len(truth) + count), count):
+        cost = 0.0
+        for point, place in zip(points, places, strict=True):
+            apart = np.sum((point - truth[place]) ** 2) if place < len(truth) else np.inf
+            cost += min(apart, radius**2)
+        least = min(least, cost)
+    return least
 
 
-def test_one_true_landmark_has_one_estimate_and_the_others_are_spurious():
-    data = dataset_of([1, 1, 1, 1, 1, 3])
-    match = match_landmarks(data, estimate_of([0, 4, 2, 9], [4, 0, 4, 0, 4, 2]))
-    assert match.true_landmark.tolist() == [-1, 1, 3, -1]  # 9 was never sighted
-    assert counts(match) == (2, 0, 2)
-    even = match_landmarks(dataset_of([1, 1, 1, 1]), estimate_of([4, 2], [4, 4, 2, 2]))
-    assert even.true_landmark.tolist() == [-1, 1]
+@pytest.mark.parametrize("radius", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("count", [1, 3, 4])
+def test_the_assignment_costs_least_of_all(rng, radius, count):
+    for _ in range(20):
+        truth = rng.uniform(0, 3, (3, 2))
+        points = rng.uniform(0, 3, (count, 2))
+        data = dataset_of([10, 11, 12], true_map=LandmarkMap([10, 11, 12], truth))
+        match = match_landmarks(data, estimate_of(points), radius)
+        pairs = match >= 0
+        apart = np.linalg.norm(points[pairs] - truth[match[pairs] - 10], axis=1)
+        assert (apart < radius).all()
+        assert len(set(match[pairs].tolist())) == pairs.sum()
+        cost = np.sum(apart**2) + (~pairs).sum() * radius**2
+        assert cost == pytest.approx(cost_of(points, truth, radius), rel=1e-12)
 
 
-def test_a_claim_is_weighed_by_sightings_of_the_landmark_claimed():
-    # Landmark 0 has four sightings, two of them of 1; landmark 2 has three, all of 1.
-    data = dataset_of([1, 1, 3, 5, 1, 1, 1])
-    match = match_landmarks(data, estimate_of([0, 2], [0, 0, 0, 0, 2, 2, 2]))
-    assert match.true_landmark.tolist() == [-1, 1]
+def test_the_nearest_is_not_taken_from_another_that_needs_it():
+    """Both are nearest to landmark 1, but only one of them is within reach of landmark 3."""
+    data = dataset_of([1, 3], true_map=LandmarkMap([1, 3], [[0, 0], [1, 0]]))
+    assert matched(data, estimate_of([[0.4, 0.0], [-0.5, 0.0]])) == [3, 1]
 
 
-def test_only_observations_that_were_used_speak():
-    data = dataset_of([1, 3, 3, 3])
-    decision = [NEW, Decision.REJECTED, Decision.AMBIGUOUS, ACCEPTED]
-    match = match_landmarks(data, estimate_of([0, 1], [0, 0, 0, 6], decision))
-    assert match.true_landmark.tolist() == [1, -1]  # 6 is not in the final map
-
-
-def test_a_landmark_that_left_the_map_claims_nothing():
-    data = dataset_of([1, 1, 1])
-    match = match_landmarks(data, estimate_of([0], [6, 6, 0]))
-    assert match.true_landmark.tolist() == [1]
-    assert counts(match) == (1, 0, 0)
-
-
-def test_without_the_origin_of_the_observations_nothing_is_matched():
-    data = dataset_of([1, 3], true_landmark=None)
-    match = match_landmarks(data, estimate_of([0, 1], [0, 1]))
-    assert match.true_landmark.tolist() == [-1, -1]
-    assert counts(match) == (None, None, None)
-
-
-def test_without_assignments_or_map_only_the_true_ones_are_counted():
+def test_a_true_landmark_has_one_estimate_and_the_others_stand_alone():
     data = dataset_of([1, 3])
-    assert counts(match_landmarks(data, estimate_of([0, 1]))) == (2, None, None)
-    no_map = Estimate("dead-reckoning", "stand")
-    assert counts(match_landmarks(data, no_map)) == (2, None, None)
+    assert matched(data, estimate_of([[1.2, 10], [1.1, 10], [3, 30], [2, 20]])) == [-1, 1, 3, -1]
 
 
-def test_an_empty_map_misses_everything():
-    data = dataset_of([1, 3, -1])
-    for association in ("known", "nearest"):
-        match = match_landmarks(data, estimate_of([], [-1, -1, -1], association=association))
-        assert counts(match) == (2, 2, 0)
+@pytest.mark.parametrize(("radius", "found"), [(0.49, -1), (0.51, 3)])
+def test_no_pair_is_farther_apart_than_the_radius(radius, found):
+    assert matched(dataset_of([3]), estimate_of([3.3, 30.4]), radius) == [found]
+    default = matched(dataset_of([3, 1]), estimate_of([[3.0, 30.99], [1.0, 11.01]]))
+    assert default == [3, -1]
+
+
+def test_positions_are_moved_before_they_are_held_against_the_truth():
+    motion = [4.0, -2.0, 1.0]
+    away = geo.to_frame(np.array(motion), POSITIONS)
+    data = dataset_of([1, 3, 5, 7])
+    assert matched(data, estimate_of(away)) == [-1] * 4
+    assert matched(data, estimate_of(away), 1.0, motion) == IDS
+
+
+def test_landmarks_that_were_never_observed_take_no_part():
+    everything = estimate_of(POSITIONS)
+    assert matched(dataset_of([1, 3, -1]), everything) == [-1, 1, 3, -1]
+    # Beacons of a recorded set: who was seen is not known, so it may have been any of them.
+    assert matched(dataset_of([1, 3], true_landmark=None), everything) == IDS
+
+
+def test_without_a_true_map_nothing_is_matched():
+    assert matched(dataset_of([1, 3], true_map=None), estimate_of(POSITIONS)) == [-1] * 4
+
+
+def test_an_empty_map_and_no_map_match_nothing():
+    assert matched(dataset_of([1]), estimate_of([])) == []
+    assert matched(dataset_of([1]), Estimate("dead-reckoning", "stand")) == []
+    assert matched(dataset_of([-1]), estimate_of([[1, 10]])) == [-1]  # nothing was observed
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])
+def test_a_landmark_gone_wrong_stands_alone(bad):
+    points = [[bad, 10.0], [3.0, 30.0], [5.0, bad]]
+    assert matched(dataset_of([1, 3, 5]), estimate_of(points)) == [-1, 3, -1]
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, np.inf, "1"])
+def test_a_radius_that_is_no_length_is_refused(radius):
+    for estimate in (estimate_of([1, 10]), known([1]), Estimate("dead-reckoning", "stand")):
+        with pytest.raises(InputError, match="match_radius"):
+            match_landmarks(dataset_of([1], landmark=[1]), estimate, radius)
+
+
+# Look-ups --------------------------------------------------------------------------------------
 
 
 def test_true_positions_are_looked_up_by_identity():
@@ -167,3 +184,10 @@ def test_common_landmarks_are_paired_by_identity():
     second = LandmarkEstimates(np.array([2, 4, 5]), np.zeros((3, 2)))
     rows, others = common_landmarks(first, second)
     assert first.ids[rows].tolist() == second.ids[others].tolist() == [2, 4]
+
+
+def test_a_map_holds_points_and_landmarks_of_open_distance():
+    points = LandmarkEstimates(np.array([4, 9]), np.zeros((2, 2)))
+    assert map_ids(points).tolist() == [4, 9]
+    opened = replace(points, undetermined=np.array([7]), inverse_depth=np.zeros((1, 4)))
+    assert map_ids(opened).tolist() == [4, 9, 7]

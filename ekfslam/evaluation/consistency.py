@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError
-from ekfslam.estimates import DIVERGED, OK, Estimate, Trajectory
-from ekfslam.evaluation.landmarks import common_landmarks, identities_shared
+from ekfslam.estimates import DIVERGED, OK, Estimate, LandmarkEstimates, Trajectory
+from ekfslam.evaluation.landmarks import common_landmarks, identities_shared, map_ids
 from ekfslam.evaluation.statistics import rmse
-from ekfslam.evaluation.trajectory import alignment_motion, path_length
+from ekfslam.evaluation.trajectory import frame_motion, path_length
 from ekfslam.geometry import Array
 
 SINGULAR = 1e-10
@@ -139,7 +139,9 @@ class Gaps(NamedTuple):
     sigma_ratio_heading: float = float("nan")
 
 
-def gaps(dataset: Dataset, estimate: Estimate, series: Trajectory, reference: Estimate) -> Gaps:
+def gaps(
+    dataset: Dataset, estimate: Estimate, series: Trajectory, reference: Estimate, robot: int = 0
+) -> Gaps:
     """Compare a series of an estimate with the reference, which needs no truth.
 
     At the last step the online and the smoothed estimate know the same measurements, so both
@@ -153,15 +155,17 @@ def gaps(dataset: Dataset, estimate: Estimate, series: Trajectory, reference: Es
         Of the estimate.
     reference : Estimate
         Such as the batch estimate of the same dataset.
+    robot : int
+        Whose poses are compared.
 
     Returns
     -------
     Gaps
         Nothing is aligned. All NaN if the reference has no trajectory.
     """
-    best = reference.final_trajectory
-    if best is None:
+    if reference.final_trajectory is None:
         return Gaps()
+    series, best = series.of_robot(robot), reference.final_trajectory.of_robot(robot)
     gap = geo.additive_error(best.poses[-1], series.poses[-1])
     ratios = (float("nan"), float("nan"))
     if series.covariances is not None and best.covariances is not None:
@@ -209,19 +213,27 @@ def validate(dataset: Dataset, estimate: Estimate) -> None:
     InputError
         If an array of the estimate does not; the message names it.
     """
-    k, m = dataset.poses, len(dataset.observations)
+    k, m, r = dataset.poses, len(dataset.observations), len(dataset.robots)
+    steps = (k,) if r == 1 else (r, k)
     shapes: dict[str, tuple[np.ndarray | None, tuple[int, ...]]] = {
         name: (getattr(estimate, name), (k,)) for name in ("step_nis", "step_dof", "step_seconds")
     }
     for name, series in estimate.series.items():
-        shapes[f"{name}.poses"] = (series.poses, (k, 3))
-        shapes[f"{name}.covariances"] = (series.covariances, (k, 3, 3))
+        shapes[f"{name}.poses"] = (series.poses, (*steps, 3))
+        shapes[f"{name}.covariances"] = (series.covariances, (*steps, 3, 3))
+    state = 3 * r
     if estimate.landmarks is not None:
-        n = len(estimate.landmarks)
-        if len(np.unique(estimate.landmarks.ids)) != n:
+        landmarks = estimate.landmarks
+        ids, points = map_ids(landmarks), len(landmarks)
+        opened = len(ids) - points
+        if len(np.unique(ids)) != len(ids):
             raise InputError(f"landmark ids of {estimate.estimator} are not distinct")
-        shapes["landmarks.positions"] = (estimate.landmarks.positions, (n, 2))
-        shapes["landmarks.covariances"] = (estimate.landmarks.covariances, (n, 2, 2))
+        shapes["landmarks.positions"] = (landmarks.positions, (points, 2))
+        shapes["landmarks.covariances"] = (landmarks.covariances, (points, 2, 2))
+        shapes["landmarks.covariance"] = (landmarks.covariance, (2 * points, 2 * points))
+        shapes["landmarks.inverse_depth"] = (landmarks.inverse_depth, (opened, 4))
+        state += 2 * points + 4 * opened
+    shapes["joint_covariance"] = (estimate.joint_covariance, (state, state))
     if estimate.innovations is not None:
         shapes["innovations.decision"] = (estimate.innovations.decision, (m,))
         shapes["innovations.landmark"] = (estimate.innovations.landmark, (m,))
@@ -243,7 +255,8 @@ def judged(dataset: Dataset, estimate: Estimate, alignment: str = "none") -> Est
     last pose, of a landmark, of pose and map together) is not finite or has a negative eigenvalue
     that rounding does not explain; or if the truth, where known, is lost: the final position is off
     by more than both 10 sigmas (of the largest axis of its own covariance) and 5 % of the length of
-    the true path. A covariance that is NaN throughout was not computed and is not judged.
+    the true path. Of several robots one is enough; the reason names it. A covariance that is NaN
+    throughout was not computed and is not judged.
 
     Parameters
     ----------
@@ -274,22 +287,40 @@ def judged(dataset: Dataset, estimate: Estimate, alignment: str = "none") -> Est
 
 def _faults(dataset: Dataset, estimate: Estimate, alignment: str) -> Iterator[str]:
     for name, series in estimate.series.items():
-        bad = np.flatnonzero(~np.isfinite(series.poses).all(axis=1))
-        if len(bad):
-            yield f"{name} pose of step {bad[0]} is not finite"
-        elif series.covariances is not None and not _positive(series.covariances[-1]):
-            yield f"covariance of the final {name} pose is not positive"
-        elif dataset.truth is not None and (lost := _lost(series, dataset.truth, alignment)):
-            yield f"final {name} position is {lost}"
-    landmarks = estimate.landmarks
-    if landmarks is not None:
-        bad = np.flatnonzero(~np.isfinite(landmarks.positions).all(axis=1))
-        if len(bad):
-            yield f"landmark {landmarks.ids[bad[0]]} is not finite"
-        elif landmarks.covariances is not None and not _positive(landmarks.covariances):
-            yield "covariance of a landmark is not positive"
+        motion = frame_motion(dataset, series, alignment)
+        for index, robot in enumerate(dataset.robots):
+            whose = f"{robot.name}: " if len(dataset.robots) > 1 else ""
+            for fault in _series_faults(name, series.of_robot(index), robot.truth, motion):
+                yield whose + fault
+    yield from _landmark_faults(estimate.landmarks)
     if estimate.joint_covariance is not None and not _positive(estimate.joint_covariance):
         yield "joint covariance of final pose and map is not positive"
+
+
+def _series_faults(
+    name: str, series: Trajectory, truth: Array | None, motion: Array
+) -> Iterator[str]:
+    bad = np.flatnonzero(~np.isfinite(series.poses).all(axis=1))
+    if len(bad):
+        yield f"{name} pose of step {bad[0]} is not finite"
+    elif series.covariances is not None and not _positive(series.covariances[-1]):
+        yield f"covariance of the final {name} pose is not positive"
+    elif truth is not None and (lost := _lost(series, truth, motion)):
+        yield f"final {name} position is {lost}"
+
+
+def _landmark_faults(landmarks: LandmarkEstimates | None) -> Iterator[str]:
+    if landmarks is None:
+        return
+    lists = (
+        (landmarks.ids, landmarks.positions),
+        (landmarks.undetermined, landmarks.inverse_depth),
+    )
+    for ids, values in lists:
+        if ids is not None and values is not None and not np.isfinite(values).all():
+            yield f"landmark {ids[~np.isfinite(values).all(axis=1)][0]} is not finite"
+    if landmarks.covariances is not None and not _positive(landmarks.covariances):
+        yield "covariance of a landmark is not positive"
 
 
 def _positive(covariances: Array) -> bool:
@@ -312,11 +343,10 @@ def _positive(covariances: Array) -> bool:
     return True
 
 
-def _lost(series: Trajectory, truth: Array, alignment: str) -> str:
+def _lost(series: Trajectory, truth: Array, motion: Array) -> str:
     """How far the final position is off, if it is lost; otherwise nothing."""
     if series.covariances is None or not np.isfinite(series.covariances[-1]).all():
         return ""
-    motion = alignment_motion(series.poses, truth, alignment)
     error = np.linalg.norm(geo.compose(motion, series.poses[-1])[:2] - truth[-1, :2])
     sigma = np.sqrt(max(np.linalg.eigvalsh(series.covariances[-1][:2, :2])[-1], 0.0))
     length = path_length(truth)[-1]

@@ -1,80 +1,96 @@
-"""Which estimated landmark is which true one, and how many are missed or spurious."""
+"""Which estimated landmark is held against which true one."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import linear_sum_assignment
 
+from ekfslam import geometry as geo
+from ekfslam.checks import checked_number
 from ekfslam.dataset import Dataset
-from ekfslam.estimates import Decision, Estimate, LandmarkEstimates
+from ekfslam.errors import InputError
+from ekfslam.estimates import Estimate, LandmarkEstimates
 from ekfslam.geometry import Array
 from ekfslam.observations import NO_LANDMARK
 
-
-class LandmarkMatch(NamedTuple):
-    """Estimated landmarks against true ones.
-
-    Attributes
-    ----------
-    true_landmark : (L,) ndarray of int
-        True identity of each estimated landmark, -1 for none.
-    true : int or None
-        True landmarks that were observed at least once in the data.
-    missed : int or None
-        Those of them that no estimated landmark is matched with.
-    spurious : int or None
-        Estimated landmarks that are matched with no true one.
-
-    A count is None where what it needs is not known.
-    """
-
-    true_landmark: np.ndarray
-    true: int | None = None
-    missed: int | None = None
-    spurious: int | None = None
+MATCH_RADIUS = 1.0
+"""Distance [m] up to which an estimated landmark is held against a true one."""
 
 
-def match_landmarks(dataset: Dataset, estimate: Estimate) -> LandmarkMatch:
-    """Match the estimated landmarks with the true ones, never by position.
+def match_landmarks(
+    dataset: Dataset,
+    estimate: Estimate,
+    radius: float = MATCH_RADIUS,
+    motion: ArrayLike = (0.0, 0.0, 0.0),
+) -> np.ndarray:
+    """True landmark that each estimated one is held against.
 
-    With known association the identities are the dataset's and match themselves. Otherwise an
-    estimated landmark is taken for the true landmark that most of the observations assigned to it
-    (accepted or new) came from; of equally many the lowest identity wins, and clutter loses
-    against any landmark. If several estimated landmarks claim the same true one, the one with most
-    of its sightings has it (of equally many the lowest identity) and the others are spurious.
-    Without the true origin of the observations nothing is matched or counted.
+    With known association the identities are the dataset's and match themselves, at any distance.
+    Otherwise the pairs are those of one assignment between the estimated and the true positions:
+    the one of least cost, where a pair costs its squared distance and a landmark left alone the
+    square of the radius (the cut-off distance of Schuhmacher et al. 2008, order 2). So no pair is
+    farther apart than the radius, and every landmark is in one pair at most. True landmarks that
+    were never observed take no part; where the origin of the observations is not known, all do.
 
     Parameters
     ----------
     dataset : Dataset
     estimate : Estimate
+    radius : float
+        Largest distance of a pair [m].
+    motion : (3,) array_like
+        Applied to the estimated positions first, see `ekfslam.evaluation.frame_motion`.
 
     Returns
     -------
-    LandmarkMatch
-        With no rows, and only the count `true`, if the estimate has no map.
+    (L,) ndarray of int
+        True identities, -1 for none: all of them where there is no true map and association is not
+        known. No rows if the estimate has no map.
+
+    Raises
+    ------
+    InputError
+        If the radius is not a positive length.
     """
+    if not 0.0 < checked_number(radius, "match_radius") < np.inf:
+        raise InputError(f"match_radius must be a positive length [m], got {radius}")
     landmarks = estimate.landmarks
-    ids = np.empty(0, dtype=np.int64) if landmarks is None else landmarks.ids
-    origin = _origin(dataset)
-    nothing = np.full(len(ids), NO_LANDMARK)
-    if origin is None:
-        return LandmarkMatch(nothing)
-    observed = np.unique(origin[origin >= 0])
     if landmarks is None:
-        return LandmarkMatch(nothing, len(observed))
+        return np.empty(0, dtype=np.int64)
     if identities_shared(dataset, estimate):
-        # A map given in advance holds landmarks that were never seen; they are not spurious.
-        in_map = np.empty(0, np.int64) if dataset.true_map is None else dataset.true_map.ids
-        true = np.where(np.isin(ids, np.union1d(observed, in_map)), ids, NO_LANDMARK)
-    elif estimate.innovations is not None:
-        true = _match_by_majority(ids, estimate, origin)
-    else:
-        return LandmarkMatch(nothing, len(observed))
-    missed = int((~np.isin(observed, true)).sum())
-    return LandmarkMatch(true, len(observed), missed, int((true == NO_LANDMARK).sum()))
+        return known_identities(dataset, landmarks.ids)
+    matched = np.full(len(landmarks), NO_LANDMARK)
+    if dataset.true_map is not None:
+        origin = origins(dataset)
+        there = dataset.true_map.ids
+        there = there if origin is None else there[np.isin(there, origin)]
+        moved = geo.from_frame(motion, landmarks.positions)
+        rows, columns = _assign(moved, true_positions(dataset, there), radius)
+        matched[rows] = there[columns]
+    return matched
+
+
+def _assign(points: Array, truth: Array, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of points and of truth, paired."""
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    apart = points[finite, None] - truth
+    with np.errstate(over="ignore"):
+        cost = np.minimum(np.sum(apart**2, axis=-1), radius**2)
+    rows, columns = linear_sum_assignment(cost)
+    near = cost[rows, columns] < radius**2
+    return finite[rows[near]], columns[near]
+
+
+def origins(dataset: Dataset) -> np.ndarray | None:
+    """True identity of every observation, -1 for clutter and sightings of robots, (M,).
+
+    The identities that the data carry stand for the true ones where those are not stated; None
+    where neither is known.
+    """
+    if dataset.true_landmark is not None:
+        return dataset.true_landmark
+    return dataset.observations.landmark if dataset.association_known else None
 
 
 def identities_shared(dataset: Dataset, estimate: Estimate) -> bool:
@@ -82,6 +98,21 @@ def identities_shared(dataset: Dataset, estimate: Estimate) -> bool:
     if estimate.association:
         return estimate.association == "known"
     return dataset.association_known
+
+
+def known_identities(dataset: Dataset, ids: np.ndarray) -> np.ndarray:
+    """Identities of the dataset's own, -1 for those that no true landmark carries."""
+    origin = origins(dataset)
+    # A map given in advance holds landmarks that were never seen; they are true nevertheless.
+    in_map = np.empty(0, np.int64) if dataset.true_map is None else dataset.true_map.ids
+    true = in_map if origin is None else np.union1d(in_map, origin)
+    return np.where(np.isin(ids, true), ids, NO_LANDMARK)
+
+
+def map_ids(landmarks: LandmarkEstimates) -> np.ndarray:
+    """Identities of a map: of its points, then of its landmarks of open distance, (L + U,)."""
+    opened = landmarks.undetermined
+    return landmarks.ids if opened is None else np.append(landmarks.ids, opened)
 
 
 def true_positions(dataset: Dataset, ids: ArrayLike) -> Array:
@@ -107,32 +138,3 @@ def common_landmarks(
     """Rows of the landmarks that two estimates share by identity, paired."""
     _, rows, others = np.intersect1d(first.ids, second.ids, return_indices=True)
     return rows, others
-
-
-def _origin(dataset: Dataset) -> np.ndarray | None:
-    """True identity of every observation, -1 for clutter; None where not known."""
-    if dataset.true_landmark is not None:
-        return dataset.true_landmark
-    return dataset.observations.landmark if dataset.association_known else None
-
-
-def _match_by_majority(ids: np.ndarray, estimate: Estimate, origin: np.ndarray) -> np.ndarray:
-    innovations = estimate.innovations
-    assert innovations is not None
-    used = np.isin(innovations.decision, (Decision.ACCEPTED, Decision.NEW))
-    used &= np.isin(innovations.landmark, ids)
-    pairs = np.column_stack([innovations.landmark, origin])[used]
-    pairs, counts = np.unique(pairs, axis=0, return_counts=True)
-    best = _best(pairs[:, 0], -counts, pairs[:, 1] < 0, pairs[:, 1])
-    best = best[pairs[best, 1] >= 0]
-    pairs, counts = pairs[best], counts[best]
-    best = _best(pairs[:, 1], -counts, pairs[:, 0])
-    true_of = dict(pairs[best].tolist())
-    return np.array([true_of.get(i, NO_LANDMARK) for i in ids.tolist()], dtype=np.int64)
-
-
-def _best(group: np.ndarray, *keys: np.ndarray) -> np.ndarray:
-    """Row of each group that comes first when ordered by the keys, the first key first."""
-    order = np.lexsort((*reversed(keys), group))
-    _, first = np.unique(group[order], return_index=True)
-    return order[first]

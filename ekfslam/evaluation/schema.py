@@ -1,4 +1,4 @@
-"""Columns and dtypes of the four tables, and tables as such: empty, stacked, read back.
+"""Columns and dtypes of the five tables, and tables as such: empty, stacked, read back.
 
 Every column has one dtype, whatever is known: text is ``string``, whole numbers are ``Int64``,
 both with a missing value; the rest is ``float64`` with NaN. Columns are described in
@@ -29,7 +29,9 @@ SCHEMAS: Mapping[str, Mapping[str, str]] = {
         *_RUN,
         (TEXT, "series association alignment status message"),
         (WHOLE, "steps observations"),
-        (WHOLE, "landmarks_true landmarks_estimated landmarks_missed landmarks_spurious"),
+        (WHOLE, "landmarks_true landmarks_estimated landmarks_undetermined landmarks_matched"),
+        (WHOLE, "landmarks_missed landmarks_spurious landmarks_duplicate landmarks_merged"),
+        (REAL, "association_precision association_recall"),
         (REAL, "ate_position_rmse_m ate_position_max_m ate_heading_rmse_rad"),
         (REAL, "rpe_position_rmse_m rpe_heading_rmse_rad"),
         (REAL, "landmark_rmse_m landmark_max_m"),
@@ -62,11 +64,16 @@ SCHEMAS: Mapping[str, Mapping[str, str]] = {
         *_RUN,
         (WHOLE, "step"),
         (REAL, "time_s"),
-        (TEXT, "sensor"),
+        (TEXT, "sensor observed_robot"),
         (WHOLE, "landmark"),
         (TEXT, "decision"),
         (REAL, "innovation_0 innovation_1 S_00 S_01 S_11 nis"),
         (WHOLE, "dof"),
+    ),
+    "association": _schema(
+        *_RUN,
+        (WHOLE, "step observations mapped accepted correct false missed new duplicates spurious"),
+        (WHOLE, "merges rejected ambiguous tentative"),
     ),
 }
 """Columns of each table, in order, with their dtypes."""
@@ -77,7 +84,7 @@ def concat(name: str, tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
 
     Parameters
     ----------
-    name : {"summary", "trajectories", "landmarks", "innovations"}
+    name : {"summary", "trajectories", "landmarks", "innovations", "association"}
     tables : iterable of DataFrame
 
     Raises
@@ -95,7 +102,7 @@ def read_csv(name: str, path: str | Path) -> pd.DataFrame:
 
     Parameters
     ----------
-    name : {"summary", "trajectories", "landmarks", "innovations"}
+    name : {"summary", "trajectories", "landmarks", "innovations", "association"}
     path : path
 
     Raises

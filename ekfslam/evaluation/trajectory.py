@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ekfslam import geometry as geo
+from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError, UnknownNameError
+from ekfslam.estimates import Trajectory
 from ekfslam.geometry import Array
 
 ALIGNMENTS = ("none", "se2")
@@ -58,6 +60,35 @@ def alignment_motion(poses: ArrayLike, truth: ArrayLike, alignment: str = "none"
     if alignment == "none" or not finite.any():
         return np.zeros(3)
     return geo.align(poses[finite, :2], truth[finite, :2])
+
+
+def frame_motion(dataset: Dataset, series: Trajectory, alignment: str = "none") -> Array:
+    """Rigid motion that brings a series into the frame of the truth: one for all robots.
+
+    Robots and landmarks share one frame, so one motion, found from the positions of all robots
+    whose truth is known, moves them all.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    series : Trajectory
+        Of all robots; poses that are not finite take no part.
+    alignment : {"none", "se2"}
+
+    Returns
+    -------
+    (3,) ndarray
+        As `alignment_motion`; the identity if no truth is known.
+
+    Raises
+    ------
+    UnknownNameError
+        For another alignment.
+    """
+    none = np.empty((0, 3))
+    known = [(r, robot.truth) for r, robot in enumerate(dataset.robots) if robot.truth is not None]
+    poses = np.concatenate([none, *(series.of_robot(r).poses for r, _ in known)])
+    return alignment_motion(poses, np.concatenate([none, *(t for _, t in known)]), alignment)
 
 
 def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> PoseErrors:

@@ -1,4 +1,4 @@
-"""One experiment: some datasets, many estimators, four tables, figures."""
+"""One experiment: some datasets, many estimators, five tables, figures."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import judged, tables
+from ekfslam.evaluation.landmarks import MATCH_RADIUS
 from ekfslam.experiments.sources import open_dataset
 from ekfslam.registry import Estimator, estimator_name, resolve
 
@@ -46,7 +47,7 @@ class Comparison:
 
     Attributes
     ----------
-    summary, trajectories, landmarks, innovations : DataFrame
+    summary, trajectories, landmarks, innovations, association : DataFrame
         The tidy tables; columns in ``docs/tables.md``.
     datasets : dict
         The `Dataset` of each name.
@@ -60,6 +61,7 @@ class Comparison:
     trajectories: pd.DataFrame
     landmarks: pd.DataFrame
     innovations: pd.DataFrame
+    association: pd.DataFrame
     datasets: Mapping[str, Dataset]
     estimates: Mapping[tuple[str, str], Estimate]
     config: Mapping[str, Any]
@@ -190,6 +192,7 @@ def compare(
     rpe_distance: float = 10.0,
     path: str | Path | None = None,
     watch: Watch | None = None,
+    match_radius: float = MATCH_RADIUS,
 ) -> Comparison:
     """Run estimators on datasets and tabulate them side by side.
 
@@ -211,6 +214,9 @@ def compare(
         Files of a recorded set.
     watch : callable, optional
         Told of progress.
+    match_radius : float
+        Where association is not known: distance [m] up to which a landmark is held against a true
+        one.
 
     Returns
     -------
@@ -223,8 +229,9 @@ def compare(
     """
     if alignment not in ("none", "se2"):
         raise UnknownNameError("alignment", alignment, ["none", "se2"])
-    if not 0 < checked_number(rpe_distance, "rpe_distance") < np.inf:
-        raise InputError(f"rpe_distance must be a positive length [m], got {rpe_distance}")
+    for name, length in (("rpe_distance", rpe_distance), ("match_radius", match_radius)):
+        if not 0 < checked_number(length, name) < np.inf:
+            raise InputError(f"{name} must be a positive length [m], got {length}")
     subjects = _named(_listed(estimators))
     sources = [open_dataset(source, seed, path) for source in _listed(datasets)]
     opened = {dataset.name: dataset for dataset in sources}
@@ -241,7 +248,7 @@ def compare(
         }
         reference = found.get(REFERENCE)
         for name, estimate in found.items():
-            made = _tabulate(dataset, estimate, alignment, rpe_distance, reference)
+            made = _tabulate(dataset, estimate, alignment, rpe_distance, reference, match_radius)
             estimates[dataset.name, name] = estimate
             for table, rows in made.items():
                 parts[table].append(rows)
@@ -251,6 +258,7 @@ def compare(
         "seed": seed,
         "alignment": alignment,
         "rpe_distance_m": rpe_distance,
+        "match_radius_m": match_radius,
         "path": None if path is None else str(path),
         "versions": _versions(),
     }
@@ -309,13 +317,17 @@ def _tabulate(
     alignment: str = "none",
     rpe_distance: float = 10.0,
     reference: Estimate | None = None,
+    match_radius: float = MATCH_RADIUS,
 ) -> dict[str, pd.DataFrame]:
-    """The four tables of one estimate."""
+    """The five tables of one estimate."""
     return {
-        "summary": tables.summary_rows(dataset, estimate, alignment, rpe_distance, reference),
+        "summary": tables.summary_rows(
+            dataset, estimate, alignment, rpe_distance, reference, match_radius
+        ),
         "trajectories": tables.trajectories(dataset, estimate, alignment),
-        "landmarks": tables.landmarks(dataset, estimate, alignment),
+        "landmarks": tables.landmarks(dataset, estimate, alignment, match_radius),
         "innovations": tables.innovations(dataset, estimate),
+        "association": tables.association(dataset, estimate),
     }
 
 

@@ -1,0 +1,277 @@
+"""Who was taken for whom, against the truth: precision, recall, duplicates, merges.
+
+What a landmark *stands for* is said by how it came into the map, never by where it is. With known
+association it stands for the true landmark whose identity it carries. Otherwise it stands for the
+true landmark that was seen in the observation that founded it: the `NEW` one, or the first of those
+that were `DELAYED` until it was determined. One that clutter founded stands for nothing. A landmark
+that no observation founded was in a map given in advance and stands for the one it is there.
+
+A landmark is in the map from its founding to the end if the final map holds it (determined or not),
+else to the last observation that was used for it: the record does not say when it was deleted. A
+founding under an identity that was used before begins another life.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ekfslam.dataset import Dataset
+from ekfslam.estimates import Decision, Estimate
+from ekfslam.evaluation.landmarks import identities_shared, known_identities, map_ids, origins
+from ekfslam.observations import NO_LANDMARK
+
+_FOUNDING = (Decision.NEW, Decision.DELAYED)
+_USED = (Decision.ACCEPTED, *_FOUNDING)
+_NO_ROW = -1
+
+
+class AssociationScores(NamedTuple):
+    """What became of each observation; every attribute is (M,) of bool.
+
+    Attributes
+    ----------
+    scored : ndarray
+        Not of a robot. The others are false where this is.
+    founded : ndarray
+        It founded a landmark.
+    accepted : ndarray
+        Used for a landmark that had been founded.
+    correct : ndarray
+        Accepted, by a landmark that stands for its true landmark.
+    mapped : ndarray
+        Its true landmark was in the map: some landmark stood for it, founded by an earlier row.
+    spurious : ndarray
+        Clutter that founded a landmark.
+    merging : ndarray
+        The first of a second true landmark that one estimated landmark took.
+    """
+
+    scored: np.ndarray
+    founded: np.ndarray
+    accepted: np.ndarray
+    correct: np.ndarray
+    mapped: np.ndarray
+    spurious: np.ndarray
+    merging: np.ndarray
+
+    @property
+    def false(self) -> np.ndarray:
+        """Accepted by another landmark, or clutter that was accepted."""
+        return self.accepted & ~self.correct
+
+    @property
+    def missed(self) -> np.ndarray:
+        """Not used although its true landmark was in the map."""
+        return self.mapped & ~self.accepted & ~self.founded
+
+    @property
+    def duplicates(self) -> np.ndarray:
+        """Founded a landmark although its true landmark was in the map: new that was old."""
+        return self.mapped & self.founded
+
+    @property
+    def precision(self) -> float:
+        """Share of the accepted that is correct; NaN if none was accepted."""
+        return _share(self.correct, self.accepted)
+
+    @property
+    def recall(self) -> float:
+        """Share of those with their true landmark in the map that is correct; NaN without any."""
+        return _share(self.correct, self.mapped)
+
+    def rows(self, which: np.ndarray) -> AssociationScores:
+        """Those of some observations."""
+        return AssociationScores(*(column[which] for column in self))
+
+
+def association_scores(dataset: Dataset, estimate: Estimate) -> AssociationScores | None:
+    """Score every association of an estimate, in the order of the dataset's rows.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    estimate : Estimate
+
+    Returns
+    -------
+    AssociationScores or None
+        None if the origin of the observations is not known or the estimate kept no innovations.
+    """
+    origin, met = origins(dataset), estimate.innovations
+    if origin is None or met is None:
+        return None
+    lives = _lives(dataset, estimate, origin)
+    scored = dataset.observed_robot < 0
+    founded = np.zeros(len(origin), dtype=bool)
+    founded[lives.founder[lives.founder >= 0]] = True
+    accepted = (lives.of_row >= 0) & ~founded
+    whom = np.append(lives.whom, NO_LANDMARK)[lives.of_row]
+    merging = np.zeros(len(origin), dtype=bool)
+    merging[_merging(lives.of_row, origin)] = True
+    return AssociationScores(
+        scored,
+        founded,
+        accepted,
+        accepted & (whom == origin) & (origin >= 0),
+        scored & _mapped(lives, origin),
+        founded & (origin < 0),
+        merging,
+    )
+
+
+class LandmarkCounts(NamedTuple):
+    """The final map, of landmarks determined and not, against the landmarks that were there.
+
+    Landmarks of the map = (true - missed) + duplicate + spurious, but for those of a map given in
+    advance that were never observed. A count is None where what it needs is not known.
+
+    Attributes
+    ----------
+    true : int or None
+        True landmarks that were observed at least once.
+    missed : int or None
+        Those of them that no landmark of the map stands for.
+    spurious : int or None
+        Landmarks of the map that stand for no true one.
+    duplicate : int or None
+        Landmarks of the map that stand for the same true landmark as another one, but for the
+        first.
+    merged : int or None
+        Landmarks of the map that took observations of two or more true ones.
+    """
+
+    true: int | None = None
+    missed: int | None = None
+    spurious: int | None = None
+    duplicate: int | None = None
+    merged: int | None = None
+
+
+def count_landmarks(dataset: Dataset, estimate: Estimate) -> LandmarkCounts:
+    """Count what the landmarks of the final map stand for.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    estimate : Estimate
+
+    Returns
+    -------
+    LandmarkCounts
+        Positions play no part in it.
+    """
+    origin = origins(dataset)
+    if origin is None:
+        return LandmarkCounts()
+    observed = np.unique(origin[origin >= 0])
+    if estimate.landmarks is None:
+        return LandmarkCounts(len(observed))
+    merged = None
+    if estimate.innovations is not None:
+        lives = _lives(dataset, estimate, origin)
+        mixed = np.unique(lives.of_row[_merging(lives.of_row, origin)])
+        merged = int(np.isin(mixed, np.flatnonzero(lives.lasting)).sum())
+        whom = lives.whom[lives.lasting]
+    elif identities_shared(dataset, estimate):
+        whom = known_identities(dataset, map_ids(estimate.landmarks))
+    else:
+        return LandmarkCounts(len(observed))
+    standing = whom[whom >= 0]
+    return LandmarkCounts(
+        len(observed),
+        int((~np.isin(observed, standing)).sum()),
+        len(whom) - len(standing),
+        len(standing) - len(np.unique(standing)),
+        merged,
+    )
+
+
+# Lives of landmarks -----------------------------------------------------------------------------
+
+
+class _Lives(NamedTuple):
+    """Landmarks from founding to deletion, E of them."""
+
+    whom: np.ndarray  # true landmark that it stands for, -1 for none
+    founder: np.ndarray  # row that founded it, -1 for a map given in advance
+    last: np.ndarray  # last row at which it is in the map; M for one of the final map
+    lasting: np.ndarray  # whether the final map holds it
+    of_row: np.ndarray  # (M,) life that each observation was used for, -1 for none
+
+
+def _lives(dataset: Dataset, estimate: Estimate, origin: np.ndarray) -> _Lives:
+    met, count = estimate.innovations, len(origin)
+    assert met is not None
+    used = np.flatnonzero(np.isin(met.decision, _USED) & (dataset.observed_robot < 0))
+    rows = used[np.argsort(met.landmark[used], kind="stable")]
+    ids, decision = met.landmark[rows], met.decision[rows]
+    founding = np.isin(decision, _FOUNDING)
+    # What follows a delayed observation goes on with the founding, or is used by what it founded.
+    begins = founding & (np.roll(decision, 1) != Decision.DELAYED)
+    begins |= np.diff(ids, prepend=NO_LANDMARK - 1) != 0
+    first = np.flatnonzero(begins)
+    of_row = np.full(count, -1)
+    of_row[rows] = np.cumsum(begins) - 1
+    landmark, founder = ids[first], np.where(founding[first], rows[first], _NO_ROW)
+    last = rows[np.append(first[1:], len(rows))[: len(first)] - 1]
+    # The final map holds the last life of a landmark, and landmarks that no observation was of.
+    lasting = np.append(np.diff(landmark) != 0, True)[: len(landmark)]
+    if estimate.landmarks is not None:
+        in_map = map_ids(estimate.landmarks)
+        lasting &= np.isin(landmark, in_map)
+        never = np.setdiff1d(in_map, landmark)
+        landmark = np.append(landmark, never)
+        founder = np.append(founder, np.full(len(never), _NO_ROW))
+        last = np.append(last, np.full(len(never), count))
+        lasting = np.append(lasting, np.ones(len(never), dtype=bool))
+    last = np.where(lasting, count, last)
+    whom = _whom(dataset, estimate, landmark, founder, origin)
+    return _Lives(whom, founder, last, lasting, of_row)
+
+
+def _whom(
+    dataset: Dataset,
+    estimate: Estimate,
+    landmark: np.ndarray,
+    founder: np.ndarray,
+    origin: np.ndarray,
+) -> np.ndarray:
+    if identities_shared(dataset, estimate):
+        return known_identities(dataset, landmark)
+    given = np.empty(0, np.int64) if dataset.known_map is None else dataset.known_map.ids
+    itself = np.where(np.isin(landmark, given), landmark, NO_LANDMARK)
+    return np.where(founder >= 0, np.append(origin, NO_LANDMARK)[founder], itself)
+
+
+def _mapped(lives: _Lives, origin: np.ndarray) -> np.ndarray:
+    """Whether at each row some landmark stood for the true one, (M,) of bool.
+
+    Lives that began before a row less those that ended before it, counted among the lives that
+    stand for one true landmark: keys order lives by true landmark first and then by row.
+    """
+    true, which = np.unique(origin, return_inverse=True)
+    alive = np.isin(lives.whom, true) & (lives.whom >= 0)
+    block = np.searchsorted(true, lives.whom[alive]) * (len(origin) + 2)
+    starts = np.sort(block + lives.founder[alive] + 1)
+    ends = np.sort(block + lives.last[alive] + 1)
+    now = which * (len(origin) + 2) + np.arange(len(origin))
+    before = [np.searchsorted(keys, now, side="right") for keys in (starts, ends)]
+    return before[0] > before[1]
+
+
+def _merging(of_row: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Rows at which a life took its second true landmark, one per life that did."""
+    rows = np.flatnonzero((of_row >= 0) & (origin >= 0))
+    pairs = np.column_stack([of_row[rows], origin[rows]])
+    pairs, first = np.unique(pairs, axis=0, return_index=True)
+    order = np.lexsort((first, pairs[:, 0]))
+    life, first = pairs[order, 0], first[order]
+    changes = np.diff(life, prepend=-1) != 0
+    second = ~changes & np.roll(changes, 1)
+    return rows[first[second]]
+
+
+def _share(part: np.ndarray, whole: np.ndarray) -> float:
+    return float(part.sum() / whole.sum()) if whole.any() else float("nan")

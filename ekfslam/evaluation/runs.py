@@ -1,0 +1,125 @@
+"""What the tables are made of: one series of one robot, the map, and the keys of a row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ekfslam import geometry as geo
+from ekfslam.dataset import Dataset
+from ekfslam.estimates import Estimate, LandmarkEstimates, Trajectory
+from ekfslam.evaluation.consistency import pose_nees, pose_nees_invariant, squared_mahalanobis
+from ekfslam.evaluation.trajectory import frame_motion
+from ekfslam.geometry import Array
+
+quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+"""For a run that has gone wrong: it holds NaN, inf or numbers whose squares overflow, so that its
+errors are empty or infinite, which is the answer and no reason to warn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One series of one robot.
+
+    Attributes
+    ----------
+    robot : int
+    name : {"online", "smoothed"}
+    series : Trajectory
+        Of this robot as estimated; poses that are not finite are NaN.
+    truth : (K + 1, 3) ndarray
+        NaN where not known.
+    motion : (3,) ndarray
+        What brings poses and map into the frame of the truth: the alignment of the series.
+    """
+
+    robot: int
+    name: str
+    series: Trajectory
+    truth: Array
+    motion: Array
+
+    @property
+    def has_nees(self) -> bool:
+        """Whether there is what NEES needs: a truth and covariances."""
+        return self.series.covariances is not None and not np.isnan(self.truth).all()
+
+    @cached_property
+    def nees(self) -> Array:
+        """NEES of the poses as estimated, (K + 1,); NaN where skipped."""
+        return self._nees(pose_nees)
+
+    @cached_property
+    def nees_invariant(self) -> Array:
+        """The same in right-invariant coordinates."""
+        return self._nees(pose_nees_invariant)
+
+    def _nees(self, function: Callable[..., Array]) -> Array:
+        if not self.has_nees:
+            return np.full(len(self.truth), np.nan)
+        return function(self.series.poses, self.truth, self.series.covariances)
+
+    @property
+    def aligned(self) -> Array:
+        """The poses in the frame of the truth, (K + 1, 3)."""
+        return geo.compose(self.motion, self.series.poses)
+
+
+def runs(dataset: Dataset, estimate: Estimate, alignment: str = "none") -> Iterator[Run]:
+    """Every series of every robot: the views of one robot that the tables are made of.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    estimate : Estimate
+    alignment : {"none", "se2"}
+        One motion per series, see `ekfslam.evaluation.frame_motion`.
+    """
+    motions = {name: frame_motion(dataset, s, alignment) for name, s in estimate.series.items()}
+    for index, robot in enumerate(dataset.robots):
+        truth = np.full((dataset.poses, 3), np.nan) if robot.truth is None else robot.truth
+        for name, everybody in estimate.series.items():
+            mine = everybody.of_robot(index)
+            series = Trajectory(nan_unless_finite(mine.poses), mine.covariances)
+            yield Run(index, name, series, truth, motions[name])
+
+
+def nan_unless_finite(rows: Array) -> Array:
+    """Rows (n, d) with those that are not finite made NaN throughout."""
+    return np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, np.nan)
+
+
+def aligned_map(landmarks: LandmarkEstimates, motion: Array) -> Array:
+    """Positions in the frame of the truth, (L, 2); those that are not finite are NaN."""
+    return geo.from_frame(motion, nan_unless_finite(landmarks.positions))
+
+
+def landmark_nees(landmarks: LandmarkEstimates, truth: Array) -> Array:
+    """NEES of the landmarks as estimated, (L,); NaN where skipped."""
+    if landmarks.covariances is None:
+        return np.full(len(landmarks), np.nan)
+    return squared_mahalanobis(landmarks.positions - truth, landmarks.covariances)
+
+
+def row_keys(dataset: Dataset, estimate: Estimate, robot: int | None = None) -> dict[str, Any]:
+    """The columns that tell whose row it is.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    estimate : Estimate
+    robot : int, optional
+        Without it the row belongs to all robots, and has a robot's name if there is only one.
+    """
+    names = [each.name for each in dataset.robots]
+    everybody = names[0] if len(names) == 1 else None
+    return {
+        "dataset": dataset.name,
+        "seed": dataset.seed,
+        "robot": everybody if robot is None else names[robot],
+        "estimator": estimate.estimator,
+    }

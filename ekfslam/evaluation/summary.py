@@ -1,0 +1,203 @@
+"""The table `summary`: the scalars of an estimate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ekfslam.dataset import Dataset
+from ekfslam.estimates import Estimate, LandmarkEstimates
+from ekfslam.evaluation.association import (
+    AssociationScores,
+    association_scores,
+    count_landmarks,
+)
+from ekfslam.evaluation.consistency import gaps, validate
+from ekfslam.evaluation.landmarks import MATCH_RADIUS, match_landmarks, true_positions
+from ekfslam.evaluation.runs import Run, aligned_map, landmark_nees, quiet, row_keys, runs
+from ekfslam.evaluation.schema import concat, filled
+from ekfslam.evaluation.statistics import mean, rmse, share_inside
+from ekfslam.evaluation.trajectory import absolute_errors, relative_errors
+from ekfslam.geometry import Array
+
+
+@quiet
+def summary_rows(
+    dataset: Dataset,
+    estimate: Estimate,
+    alignment: str = "none",
+    rpe_distance: float = 10.0,
+    reference: Estimate | None = None,
+    match_radius: float = MATCH_RADIUS,
+) -> pd.DataFrame:
+    """Scalars of an estimate, one row per robot and series; without a series one without numbers.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    estimate : Estimate
+        With its status; `ekfslam.evaluation.judged` finds the diverged ones.
+    alignment : {"none", "se2"}
+        Motion applied to poses and landmarks before their errors, never before NEES.
+    rpe_distance : float
+        Length of the relative errors [m].
+    reference : Estimate, optional
+        The batch estimate of the same dataset, for the columns ``gap_`` and ``sigma_ratio_``.
+    match_radius : float
+        Distance [m] up to which a landmark is held against a true one, see `match_landmarks`.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `SCHEMAS["summary"]`.
+
+    Raises
+    ------
+    InputError
+        If the estimate does not have the sizes of the dataset, or a distance is not positive.
+    UnknownNameError
+        For another alignment.
+    """
+    validate(dataset, estimate)
+    shared = (
+        {"association": estimate.association, "status": estimate.status}
+        | {"message": estimate.message, "steps": dataset.poses}
+        | _landmark_counts(dataset, estimate)
+        | _times(estimate)
+    )
+    scores = association_scores(dataset, estimate)
+    rows = [
+        row_keys(dataset, estimate, run.robot)
+        | shared
+        | {"series": run.name, "alignment": _applied(dataset, alignment)}
+        | {"message": _message(estimate, run)}
+        | {"observations": int((dataset.observations.robot == run.robot).sum())}
+        | _association_scalars(dataset, scores, run.robot)
+        | _pose_scalars(run, rpe_distance)
+        | _map_scalars(dataset, estimate, match_radius, run.motion)
+        | (_nis_scalars(estimate) if run.name == "online" else _graph_scalars(estimate))
+        | _gap_scalars(dataset, estimate, run, reference)
+        for run in runs(dataset, estimate, alignment)
+    ]
+    alone = row_keys(dataset, estimate) | shared | {"observations": len(dataset.observations)}
+    return concat("summary", [filled("summary", row, 1) for row in rows or [alone]])
+
+
+# Values of the columns --------------------------------------------------------------------------
+
+
+def _applied(dataset: Dataset, alignment: str) -> str:
+    """Without a truth there is nothing to align with."""
+    return alignment if any(robot.truth is not None for robot in dataset.robots) else "none"
+
+
+def _message(estimate: Estimate, run: Run) -> str:
+    """What the estimator said, and at how many poses NEES had to be skipped."""
+    skipped = int(np.isnan(run.nees).sum()) if run.has_nees else 0
+    note = f"NEES skipped at {skipped} of {len(run.nees)} poses (singular covariance)"
+    return "; ".join(filter(None, [estimate.message, note if skipped else ""]))
+
+
+def _landmark_counts(dataset: Dataset, estimate: Estimate) -> dict[str, Any]:
+    counts, estimated = count_landmarks(dataset, estimate), estimate.landmarks
+    columns: dict[str, Any] = {
+        f"landmarks_{name}": number for name, number in counts._asdict().items()
+    }
+    if estimated is not None:
+        opened = estimated.undetermined
+        columns["landmarks_estimated"] = len(estimated)
+        columns["landmarks_undetermined"] = 0 if opened is None else len(opened)
+    return columns
+
+
+def _association_scalars(
+    dataset: Dataset, scores: AssociationScores | None, robot: int
+) -> dict[str, float]:
+    if scores is None:
+        return {}
+    mine = scores.rows(dataset.observations.robot == robot)
+    return {"association_precision": mine.precision, "association_recall": mine.recall}
+
+
+def _map_scalars(
+    dataset: Dataset, estimate: Estimate, radius: float, motion: Array
+) -> dict[str, Any]:
+    identity = match_landmarks(dataset, estimate, radius, motion)
+    if estimate.landmarks is None:
+        return {}
+    scalars = _landmark_scalars(estimate.landmarks, true_positions(dataset, identity), motion)
+    return {"landmarks_matched": int((identity >= 0).sum())} | scalars
+
+
+def _pose_scalars(run: Run, rpe_distance: float) -> dict[str, float]:
+    ate = absolute_errors(run.aligned, run.truth)
+    rpe = relative_errors(run.series.poses, run.truth, rpe_distance)
+    return {
+        "ate_position_rmse_m": rmse(ate.position),
+        "ate_position_max_m": float(ate.position.max()),
+        "ate_heading_rmse_rad": rmse(ate.heading),
+        "rpe_position_rmse_m": rmse(rpe.position),
+        "rpe_heading_rmse_rad": rmse(rpe.heading),
+        "nees_pose_mean": mean(run.nees),
+        "nees_pose_final": float(run.nees[-1]),
+        "nees_pose_invariant_mean": mean(run.nees_invariant),
+        "nees_pose_inside_95": share_inside(run.nees, 3),
+    }
+
+
+def _landmark_scalars(
+    landmarks: LandmarkEstimates, truth: Array, motion: Array
+) -> dict[str, float]:
+    """Errors and NEES of the landmarks whose true position (L, 2) is known."""
+    matched = np.isfinite(truth).all(axis=1)
+    if not matched.any():
+        return {}
+    error = (aligned_map(landmarks, motion) - truth)[matched]
+    size = np.hypot(error[:, 0], error[:, 1])
+    return {
+        "landmark_rmse_m": rmse(size),
+        "landmark_max_m": float(size.max()),
+        "nees_landmark_mean": mean(landmark_nees(landmarks, truth)),
+    }
+
+
+def _nis_scalars(estimate: Estimate) -> dict[str, float]:
+    if estimate.step_nis is None or estimate.step_dof is None:
+        return {}
+    rows = np.isfinite(estimate.step_nis) & (estimate.step_dof > 0)
+    if not rows.any():
+        return {}
+    nis, dof = estimate.step_nis[rows], estimate.step_dof[rows]
+    return {"nis_per_dof": float(nis.sum() / dof.sum()), "nis_inside_95": share_inside(nis, dof)}
+
+
+def _graph_scalars(estimate: Estimate) -> dict[str, float]:
+    scalars = {"graph_error": estimate.graph_error}
+    if estimate.graph_dof > 0:
+        scalars["graph_chi2_per_dof"] = 2.0 * estimate.graph_error / estimate.graph_dof
+    return scalars
+
+
+def _gap_scalars(
+    dataset: Dataset, estimate: Estimate, run: Run, reference: Estimate | None
+) -> dict[str, float]:
+    if reference is None:
+        return {}
+    gap = gaps(dataset, estimate, run.series, reference, run.robot)
+    return {
+        "gap_final_position_m": gap.final_position,
+        "gap_final_heading_rad": gap.final_heading,
+        "gap_landmark_rmse_m": gap.landmark_rmse,
+        "sigma_ratio_position": gap.sigma_ratio_position,
+        "sigma_ratio_heading": gap.sigma_ratio_heading,
+    }
+
+
+def _times(estimate: Estimate) -> dict[str, float]:
+    times = {"time_total_s": estimate.time_total, "time_marginals_s": estimate.time_marginals}
+    if estimate.step_seconds is not None:
+        median, p99 = np.percentile(estimate.step_seconds, [50, 99]) * 1e6
+        times |= {"time_per_step_median_us": float(median), "time_per_step_p99_us": float(p99)}
+    return times
