@@ -412,3 +412,97 @@ def test_a_reference_without_trajectory_or_sigma_gives_no_numbers(line):
     assert np.isnan(gaps(line, estimate, estimate.online, Estimate("batch", "line"))).all()
     exact = estimate_of(line, sigma=0.0)
     assert np.isnan(gaps(line, estimate, estimate.online, exact).sigma_ratio_position)
+
+
+# Several robots and undetermined landmarks ------------------------------------------------------
+
+
+@pytest.fixture
+def pair(line):
+    """The robot of the line, and another one ten metres beside it."""
+    aside = line.truth + np.array([0.0, 10.0, 0.0])
+    return replace(line, robots=(line.robot, replace(line.robot, truth=aside, name="beside")))
+
+
+def pair_of(pair, offset=(0.0, 0.0, 0.0), sigma=0.1, **changes):
+    """An estimate of both, of which the second is off in the end."""
+    poses = np.stack([robot.truth for robot in pair.robots])
+    poses[1] += np.linspace(0, 1, COUNT)[:, None] * np.asarray(offset)
+    covariances = np.tile(np.diag([sigma**2, sigma**2, 1e-4]), (2, COUNT, 1, 1))
+    return replace(
+        Estimate("filter", pair.name, "known", Trajectory(poses, covariances)), **changes
+    )
+
+
+@pytest.mark.parametrize(("offset", "status"), [(4.9, "ok"), (5.1, "diverged")])
+def test_one_lost_robot_is_enough_and_is_named(pair, offset, status):
+    verdict = judged(pair, pair_of(pair, (0, offset, 0)))
+    assert verdict.status == status
+    lost = "beside: final online position is 5.1 m off: 51 of its sigmas, 5 % of the path"
+    assert verdict.message == (lost if status == "diverged" else "")
+
+
+def test_any_robot_and_any_pose_of_it_is_judged(pair):
+    poses = pair_of(pair).online.poses.copy()
+    poses[1, 7] = np.nan
+    broken = pair_of(pair, online=Trajectory(poses))
+    assert judged(pair, broken).message == "beside: online pose of step 7 is not finite"
+    covariances = pair_of(pair).online.covariances.copy()
+    covariances[0, -1] = -np.eye(3)
+    broken = pair_of(pair, online=Trajectory(pair_of(pair).online.poses, covariances))
+    assert (
+        "robot: covariance of the final online pose is not positive" in judged(pair, broken).message
+    )
+
+
+def test_robots_are_aligned_as_one_before_the_verdict(pair):
+    motion = np.array([30.0, 20.0, 1.0])
+    estimate = pair_of(pair)
+    moved = replace(estimate.online, poses=geo.compose(motion, estimate.online.poses))
+    assert judged(pair, replace(estimate, online=moved)).status == "diverged"
+    assert judged(pair, replace(estimate, online=moved), "se2").status == "ok"
+    # One robot alone in the wrong place is not forgiven.
+    poses = estimate.online.poses.copy()
+    poses[1] = geo.compose(motion, poses[1])
+    apart = replace(estimate, online=replace(estimate.online, poses=poses))
+    assert judged(pair, apart, "se2").status == "diverged"
+
+
+def test_sizes_of_several_robots_and_undetermined_landmarks(pair):
+    landmarks = LandmarkEstimates(
+        np.array([3]),
+        np.zeros((1, 2)),
+        np.eye(2)[None],
+        np.eye(2),
+        undetermined=np.array([8, 9]),
+        inverse_depth=np.ones((2, 4)),
+    )
+    whole = pair_of(pair, landmarks=landmarks, joint_covariance=np.eye(6 + 2 + 8))
+    validate(pair, whole)
+    assert judged(pair, whole) is whole
+    for wrong, message in [
+        ({"online": Trajectory(np.zeros((COUNT, 3)))}, r"online\.poses .* \(2, 101, 3\)"),
+        ({"step_nis": np.zeros((2, COUNT))}, "step_nis"),
+        ({"joint_covariance": np.eye(5)}, r"joint_covariance .* \(16, 16\)"),
+        ({"landmarks": replace(landmarks, inverse_depth=np.ones((3, 4)))}, "inverse_depth"),
+        ({"landmarks": replace(landmarks, covariance=np.eye(4))}, r"landmarks\.covariance "),
+        ({"landmarks": replace(landmarks, undetermined=np.array([3, 8]))}, "distinct"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            validate(pair, replace(whole, **wrong))
+    opened = replace(landmarks, inverse_depth=np.array([[0, 0, 0, 1.0], [0, np.inf, 0, 1.0]]))
+    assert judged(pair, replace(whole, landmarks=opened)).message == "landmark 9 is not finite"
+
+
+def test_a_single_robot_has_no_axis_of_robots(line):
+    poses = estimate_of(line).online.poses[None]
+    with pytest.raises(InputError, match=r"online\.poses .* \(101, 3\), got \(1, 101, 3\)"):
+        validate(line, replace(estimate_of(line), online=Trajectory(poses)))
+
+
+def test_gaps_are_of_the_robot_that_is_asked_for(pair):
+    reference, estimate = pair_of(pair, sigma=0.2), pair_of(pair, (3.0, 4.0, -0.1))
+    first, second = (gaps(pair, estimate, estimate.online, reference, r) for r in (0, 1))
+    np.testing.assert_allclose(first[:2], [0, 0], atol=1e-15)
+    np.testing.assert_allclose(second[:2], [5.0, 0.1], rtol=1e-12)
+    assert second.sigma_ratio_position == pytest.approx(0.5)

@@ -17,7 +17,7 @@ from ekfslam.estimates import (
     Trajectory,
 )
 
-STEPS, LANDMARKS, ROWS = 4, 2, 5
+STEPS, LANDMARKS, OPEN, ROWS = 4, 2, 1, 5
 
 
 @pytest.fixture
@@ -42,10 +42,12 @@ def full(rng):
             draw(LANDMARKS, 2),
             draw(LANDMARKS, 2, 2),
             draw(2 * LANDMARKS, 2 * LANDMARKS),
+            np.array([9]),
+            draw(OPEN, 4),
         ),
-        joint_covariance=draw(3 + 2 * LANDMARKS, 3 + 2 * LANDMARKS),
+        joint_covariance=draw(*2 * (3 + 2 * LANDMARKS + 4 * OPEN,)),
         innovations=Innovations(
-            np.array([Decision.NEW, Decision.ACCEPTED, Decision.REJECTED, Decision.AMBIGUOUS, 0]),
+            np.array([Decision.NEW, Decision.DELAYED, Decision.TENTATIVE, Decision.AMBIGUOUS, 0]),
             np.array([3, 3, -1, -1, 2**60]),
             innovation,
             draw(ROWS, 2, 2),
@@ -83,6 +85,23 @@ def test_each_part_alone_survives_the_file(full, tmp_path):
         assert_same_record(round_trip(alone, tmp_path), alone)
 
 
+def test_poses_of_several_robots_survive_the_file(tmp_path, rng):
+    team = Estimate(
+        "filter", "world", online=Trajectory(rng.normal(size=(3, 4, 3)), np.ones((3, 4, 3, 3)))
+    )
+    assert_same_record(round_trip(team, tmp_path), team)
+
+
+def test_poses_of_one_robot_of_several(rng):
+    team = Trajectory(rng.normal(size=(3, STEPS, 3)), rng.normal(size=(3, STEPS, 3, 3)))
+    for robot in range(3):
+        one = team.of_robot(robot)
+        assert_array_equal(one.poses, team.poses[robot])
+        assert_array_equal(one.covariances, team.covariances[robot])
+        assert one.of_robot(robot) is one  # nothing to choose from
+    assert Trajectory(team.poses).of_robot(1).covariances is None
+
+
 def test_empty_arrays_survive_the_file(tmp_path):
     empty = Estimate(
         "filter",
@@ -117,8 +136,8 @@ def test_lengths(full):
 
 def test_decisions_are_the_numbers_in_files():
     """Files hold these numbers: changing one needs a new format version."""
-    assert [decision.value for decision in Decision] == [0, 1, 2, 3]
-    names = ["ACCEPTED", "NEW", "REJECTED", "AMBIGUOUS"]
+    assert [decision.value for decision in Decision] == [0, 1, 2, 3, 4, 5]
+    names = ["ACCEPTED", "NEW", "REJECTED", "AMBIGUOUS", "TENTATIVE", "DELAYED"]
     assert [decision.name for decision in Decision] == names
 
 
@@ -132,6 +151,8 @@ def test_arrays_are_read_only(full, loaded, tmp_path):
         estimate.landmarks.positions,
         estimate.landmarks.covariances,
         estimate.landmarks.covariance,
+        estimate.landmarks.undetermined,
+        estimate.landmarks.inverse_depth,
         estimate.innovations.decision,
         estimate.innovations.innovation,
         estimate.innovations.S,

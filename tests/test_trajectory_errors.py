@@ -1,14 +1,25 @@
 """ATE and RPE against evo and against laws of rigid motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from evo.core.metrics import APE, RPE, PoseRelation, Unit
 from evo.core.trajectory import PosePath3D
 
 from ekfslam import geometry as geo
+from ekfslam.dataset import Dataset, Observations, Robot
 from ekfslam.errors import InputError, UnknownNameError
-from ekfslam.evaluation import absolute_errors, alignment_motion, path_length, relative_errors
+from ekfslam.estimates import Trajectory
+from ekfslam.evaluation import (
+    absolute_errors,
+    alignment_motion,
+    frame_motion,
+    path_length,
+    relative_errors,
+)
 from ekfslam.evaluation.statistics import rmse
+from ekfslam.models.motion import MotionModel
 
 # Positions within 100 m and headings carry round-off near 1e-14; evo goes through SVD and arccos.
 CLOSE = {"rtol": 0.0, "atol": 1e-9}
@@ -152,6 +163,57 @@ def test_poses_that_are_not_finite_do_not_spoil_the_alignment(pair):
     expected = alignment_motion(poses[5:], truth[5:], "se2")
     poses[:5] = np.nan
     np.testing.assert_allclose(alignment_motion(poses, truth, "se2"), expected, atol=1e-12)
+
+
+@pytest.fixture
+def three(pair):
+    """A dataset of three robots on the same errors as `pair`, and the estimate of their poses."""
+    poses, truth = pair
+    starts = np.array([[0.0, 0.0, 0.0], [80.0, -20.0, 1.0], [5.0, 60.0, -2.0]])
+    motion = MotionModel("odometry", covariance=np.eye(3))
+    dataset = Dataset(
+        "three",
+        tuple(Robot(motion, np.zeros((200, 3)), truth=geo.compose(s, truth)) for s in starts),
+        np.arange(201.0),
+        (),
+        Observations([], np.empty((0, 2))),
+    )
+    return dataset, Trajectory(np.stack([geo.compose(s, poses) for s in starts]))
+
+
+def test_robots_share_one_alignment_which_is_that_of_all_their_positions(three):
+    dataset, series = three
+    motion = frame_motion(dataset, series, "se2")
+    truths = np.concatenate([robot.truth for robot in dataset.robots])
+
+    def cost(g):
+        return rmse(absolute_errors(geo.compose(g, series.poses.reshape(-1, 3)), truths).position)
+
+    for nudge in np.concatenate([np.eye(3), -np.eye(3)]) * 1e-3:
+        assert cost(motion + nudge) > cost(motion)
+    np.testing.assert_array_equal(frame_motion(dataset, series), np.zeros(3))
+
+
+def test_robots_without_truth_take_no_part_in_the_alignment(three):
+    dataset, series = three
+    first, second, third = dataset.robots
+    known = replace(dataset, robots=(replace(first, truth=None), second, third))
+    motion = alignment_motion(
+        series.poses[1:].reshape(-1, 3), np.concatenate([second.truth, third.truth]), "se2"
+    )
+    np.testing.assert_array_equal(frame_motion(known, series, "se2"), motion)
+    unknown = replace(dataset, robots=tuple(replace(r, truth=None) for r in dataset.robots))
+    np.testing.assert_array_equal(frame_motion(unknown, series, "se2"), np.zeros(3))
+    with pytest.raises(UnknownNameError, match="'sim3'"):
+        frame_motion(unknown, series, "sim3")
+
+
+def test_a_single_robot_is_aligned_as_ever(three, pair):
+    dataset, series = three
+    alone = replace(dataset, robots=dataset.robots[:1])
+    poses, truth = pair
+    expected = alignment_motion(poses, truth, "se2")
+    np.testing.assert_allclose(frame_motion(alone, series.of_robot(0), "se2"), expected, atol=1e-12)
 
 
 def test_bad_arguments_are_named():
