@@ -8,7 +8,7 @@ import numpy as np
 
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
-from ekfslam.errors import InputError
+from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.estimates import Trajectory
 from ekfslam.models.sensors import Sensor
 from ekfslam.storage import atomic_write
@@ -17,15 +17,15 @@ from ekfslam.storage import atomic_write
 def write_g2o(dataset: Dataset, path: str | Path) -> None:
     """Write a dataset with known association as a g2o graph.
 
-    ``VERTEX_SE2`` (dead-reckoned poses), ``VERTEX_XY`` (landmarks back-projected from their first
-    sighting; numbered after the poses, in order of identity), ``FIX 0``, ``EDGE_SE2`` (increments)
-    and ``EDGE_SE2_XY``.
+    ``VERTEX_SE2`` (dead-reckoned poses, numbered robot after robot), ``VERTEX_XY`` (landmarks
+    back-projected from their first sighting; numbered after the poses, in order of identity),
+    ``EDGE_SE2`` (increments), ``EDGE_SE2_XY`` and a ``FIX`` per robot.
 
     The conversion: g2o has no range-bearing edge that others read, so a measurement z becomes the
     point y(z) in the body frame, with noise ``D R D'``, D = dy/dz at the measurement; exact for xy
     sensors, first order for range and bearing. The information of a motion is that of
     its covariance in the frame of the first pose turned into that of the second, as g2o reads it.
-    The prior is not written: the first pose is held fixed at its mean.
+    The priors are not written: the first pose of each robot is held fixed at its mean.
 
     Parameters
     ----------
@@ -36,41 +36,53 @@ def write_g2o(dataset: Dataset, path: str | Path) -> None:
     ------
     InputError
         If association is not known, or a noise is singular and has no information matrix.
+    UnsupportedError
+        If a sensor reports a bearing or a range alone, which makes no point, or robots see robots,
+        for which there is no edge.
     """
-    if not dataset.association_known:
-        raise InputError(f"{dataset.name} cannot be written as g2o: association is not known")
-    deltas, covariances = dataset.robot.increments
-    poses = geo.integrate(dataset.prior.mean, deltas)
-    motion = _information(geo.additive_to_body(deltas, covariances), "odometry")
+    _check_sayable(dataset)
+    o = dataset.observations
+    deltas, covariances = (array[:, 1:] for array in dataset.moves)
+    motions = _information(geo.additive_to_body(deltas, covariances), "odometry")
+    poses = np.stack(
+        [
+            geo.integrate(robot.prior.mean, moves)
+            for robot, moves in zip(dataset.robots, deltas, strict=True)
+        ]
+    )
+    vertex = np.arange(poses.shape[0] * poses.shape[1]).reshape(poses.shape[:2])
     points, noises = _points(dataset)
     views = _information(noises, "observation")
-    ids, first, number = np.unique(
-        dataset.observations.landmark, return_index=True, return_inverse=True
-    )
-    step = dataset.observations.step
-    anchors = geo.from_frame(poses[step[first]], points[first])
-    lines = [f"VERTEX_SE2 {k} {_join(pose)}" for k, pose in enumerate(poses)]
+    ids, first, number = np.unique(o.landmark, return_index=True, return_inverse=True)
+    anchors = geo.from_frame(poses[o.robot[first], o.step[first]], points[first])
+    lines = [
+        f"VERTEX_SE2 {v} {_join(pose)}"
+        for v, pose in zip(vertex.flat, poses.reshape(-1, 3), strict=True)
+    ]
     lines += [
-        f"VERTEX_XY {len(poses) + i} {_join(anchors[i])} # landmark {ids[i]}"
+        f"VERTEX_XY {vertex.size + i} {_join(anchors[i])} # landmark {ids[i]}"
         for i in range(len(ids))
     ]
     upper = np.triu_indices(3)
     lines += [
-        f"EDGE_SE2 {k} {k + 1} {_join(deltas[k])} {_join(motion[k][upper])}"
-        for k in range(len(deltas))
+        f"EDGE_SE2 {vertex[r, k]} {vertex[r, k + 1]} {_join(deltas[r, k])} "
+        f"{_join(motions[r, k][upper])}"
+        for r, k in np.ndindex(deltas.shape[:2])
     ]
     upper = np.triu_indices(2)
     lines += [
-        f"EDGE_SE2_XY {k} {len(poses) + j} {_join(point)} {_join(view[upper])}"
-        for k, j, point, view in zip(step, number, points, views, strict=True)
+        f"EDGE_SE2_XY {v} {vertex.size + j} {_join(point)} {_join(view[upper])}"
+        for v, j, point, view in zip(vertex[o.robot, o.step], number, points, views, strict=True)
     ]
-    lines.append("FIX 0")  # last: gtsam's reader stops at it
+    lines += [f"FIX {v}" for v in vertex[:, 0]]  # last: gtsam's reader stops there
     with atomic_write(path) as stream:
         stream.write(("\n".join(lines) + "\n").encode())
 
 
-def write_tum(trajectory: Trajectory, times: np.ndarray, path: str | Path) -> None:
-    """Write a trajectory as TUM text for evo: ``t x y z qx qy qz qw``, planar.
+def write_tum(
+    trajectory: Trajectory, times: np.ndarray, path: str | Path, robot: int | None = None
+) -> None:
+    """Write the trajectory of one robot as TUM text for evo: ``t x y z qx qy qz qw``, planar.
 
     Parameters
     ----------
@@ -78,19 +90,40 @@ def write_tum(trajectory: Trajectory, times: np.ndarray, path: str | Path) -> No
     times : (K + 1,) ndarray
         [s].
     path : path
+    robot : int, optional
+        Whose poses, where there are several robots; each has a file of its own.
 
     Raises
     ------
     InputError
-        If there is not one time for each pose.
+        If there is not one time for each pose, or several robots and no such one among them.
     """
-    if len(times) != len(trajectory.poses):
-        raise InputError(f"{len(times)} times for {len(trajectory.poses)} poses")
-    x, y, theta = trajectory.poses.T
+    count = 1 if trajectory.poses.ndim == 2 else len(trajectory.poses)
+    if robot is None and count > 1:
+        raise InputError(f"a file holds one robot of {count}; say which by `robot`")
+    if robot is not None and not 0 <= robot < count:
+        raise InputError(f"robot is {robot}, but there are {count} (0 to {count - 1})")
+    poses = trajectory.of_robot(robot or 0).poses
+    if len(times) != len(poses):
+        raise InputError(f"{len(times)} times for {len(poses)} poses")
+    x, y, theta = poses.T
     zero = np.zeros_like(x)
     rows = np.column_stack([times, x, y, zero, zero, zero, np.sin(theta / 2), np.cos(theta / 2)])
     with atomic_write(path) as stream:
         np.savetxt(stream, rows, fmt="%.17g")
+
+
+def _check_sayable(dataset: Dataset) -> None:
+    """Refuse what g2o has no word for."""
+    cannot = f"{dataset.name} cannot be written as g2o"
+    if (dataset.observed_robot >= 0).any():
+        raise UnsupportedError(f"{cannot}: robots see robots, and there is no edge for that")
+    for index in np.unique(dataset.observations.sensor):
+        sensor = dataset.sensors[index]
+        if sensor.view.size == 1:
+            raise UnsupportedError(f"{cannot}: a {sensor.kind} of {sensor.name} makes no point")
+    if not dataset.association_known:
+        raise InputError(f"{cannot}: association is not known")
 
 
 def _points(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -99,7 +132,8 @@ def _points(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
     points, covariances = np.empty((len(o), 2)), np.empty((len(o), 2, 2))
     for index, sensor in enumerate(dataset.sensors):
         rows = o.sensor == index
-        points[rows], covariances[rows] = _in_body(sensor, o.values[rows], noise[rows])
+        if rows.any():
+            points[rows], covariances[rows] = _in_body(sensor, o.values[rows], noise[rows])
     return points, covariances
 
 
@@ -112,7 +146,7 @@ def _in_body(
 
 def _information(covariances: np.ndarray, what: str) -> np.ndarray:
     """Inverse covariances, or an error that says what to do."""
-    if len(covariances) and np.linalg.eigvalsh(covariances)[:, 0].min() <= 1e-16:
+    if covariances.size and np.linalg.eigvalsh(covariances)[..., 0].min() <= 1e-16:
         raise InputError(
             f"the {what} noise is singular and has no information matrix; state a lateral slip"
         )

@@ -11,7 +11,7 @@ import pytest
 
 from baselines.landmark_graph import Association, LandmarkGraph
 from ekfslam.dataset import Dataset, Observations, Prior, Robot
-from ekfslam.errors import InputError
+from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.estimates import Trajectory
 from ekfslam.export import write_g2o, write_tum
 from ekfslam.models.motion import MotionModel
@@ -210,6 +210,78 @@ def test_a_run_without_observations(path):
     }
 
 
+def team(**changes):
+    """Two robots that see the same two landmarks, each with a sensor of its own."""
+    one = small().robot
+    other = replace(
+        one, controls=one.controls * [1, -1, -0.5], prior=Prior([-3.0, 4.0, 0.3]), name="other"
+    )
+    seen = small().observations
+    return small(
+        robots=(one, other),
+        sensors=(Sensor("range-bearing", NOISE, mount=MOUNT), Sensor("xy", NOISE)),
+        observations=replace(seen, robot=[0, 1, 0, 1], sensor=[0, 1, 0, 1]),
+        **changes,
+    )
+
+
+def test_each_robot_has_vertices_of_its_own_and_they_share_the_landmarks(path):
+    """The graph of both is the graphs of each, numbered on."""
+    data = team()
+    write_g2o(data, path)
+    both, edges_of_both = read(path), list(edges(path))
+    assert [row[0] for row in both["VERTEX_SE2"]] == list(range(8))
+    assert [row[0] for row in both["VERTEX_XY"]] == [8, 9]
+    assert both["FIX"] == [[0.0], [4.0]]
+    assert len(both["EDGE_SE2"]) == 6
+    for index, robot in enumerate(data.robots):
+        mine = data.observations.robot == index
+        seen = data.observations
+        write_g2o(
+            replace(
+                data,
+                robots=(robot,),
+                observations=Observations(
+                    seen.step[mine], seen.values[mine], seen.landmark[mine], seen.sensor[mine]
+                ),
+            ),
+            path,
+        )
+        single, first = read(path), 4 * index
+        for k in range(4):
+            assert both["VERTEX_SE2"][first + k] == [first + k, *single["VERTEX_SE2"][k][1:]]
+        for k, row in enumerate(single["EDGE_SE2"]):
+            assert both["EDGE_SE2"][3 * index + k] == [row[0] + first, row[1] + first, *row[2:]]
+        expected = [edges_of_both[row] for row in np.flatnonzero(mine)]
+        for (k, j, point, information), other in zip(edges(path), expected, strict=True):
+            assert (k + first, j - 4 + 8) == other[:2]
+            np.testing.assert_array_equal(point, other[2])
+            np.testing.assert_array_equal(information, other[3])
+    # Landmark 17 is first seen by the first robot, landmark 4 in row 2 by the first as well.
+    write_g2o(data, path)
+    one = small()
+    write_g2o(one, path.with_suffix(".one"))
+    assert [row[1:] for row in both["VERTEX_XY"]] == [
+        row[1:] for row in read(path.with_suffix(".one"))["VERTEX_XY"]
+    ]
+
+
+def test_what_g2o_has_no_word_for_is_unsupported(path):
+    seen = team().observations
+    meeting = replace(seen, landmark=[17, 17, 4, -1], observed_robot=np.array([-1, -1, -1, 0]))
+    with pytest.raises(UnsupportedError, match="small cannot be written as g2o: robots see robots"):
+        write_g2o(replace(team(), observations=meeting), path)
+    for kind in ("bearing", "range"):
+        sensor = Sensor(kind, [[0.01]], name="half")
+        alone = Observations([0, 1], [[0.5], [0.7]], [17, 17], sensor=[1, 1])
+        data = small(sensors=(Sensor("xy", NOISE), sensor), observations=alone)
+        with pytest.raises(UnsupportedError, match=f"a {kind} of half makes no point"):
+            write_g2o(data, path)
+        write_g2o(small(sensors=(*small().sensors, sensor)), path)  # it saw nothing
+        path.unlink()
+    assert list(path.parent.iterdir()) == []
+
+
 def robot(**changes):
     return (replace(small().robot, **changes),)
 
@@ -270,4 +342,21 @@ def test_evo_reads_the_trajectory_without_loss(tmp_path, rng):
 def test_a_trajectory_needs_a_time_for_every_pose(tmp_path):
     with pytest.raises(InputError, match="times"):
         write_tum(Trajectory(np.zeros((4, 3))), np.arange(3.0), tmp_path / "run.tum")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_each_of_several_robots_has_a_file_of_its_own(tmp_path, rng):
+    team = Trajectory(rng.normal(size=(2, 4, 3)))
+    times, path = np.arange(4.0), tmp_path / "run.tum"
+    for index in (0, 1):
+        write_tum(team, times, path, robot=index)
+        ours = path.read_bytes()
+        write_tum(Trajectory(team.poses[index]), times, path)
+        assert path.read_bytes() == ours
+    path.unlink()
+    with pytest.raises(InputError, match="one robot of 2; say which by `robot`"):
+        write_tum(team, times, path)
+    for trajectory, index in ((team, 2), (team, -1), (Trajectory(team.poses[0]), 1)):
+        with pytest.raises(InputError, match=f"robot is {index}"):
+            write_tum(trajectory, times, path, robot=index)
     assert list(tmp_path.iterdir()) == []
