@@ -1,21 +1,20 @@
-"""Who saw whom: the gates, the choice from a table of distances, and whole runs without names."""
-
-from dataclasses import replace
-from functools import cache
+"""Who saw whom: gates, descriptors, and the choice from a table of distances."""
 
 import numpy as np
 import pytest
-from textbook import two_sensors
 
-from ekfslam import geometry as geo
-from ekfslam.association.gates import Gates, chi2_gate
-from ekfslam.association.nearest import AMBIGUOUS, NEW, nearest_neighbour
-from ekfslam.dataset import LandmarkMap, Prior, Sightings
+from ekfslam.association.descriptors import descriptor_distance, running_mean
+from ekfslam.association.gates import Gates, chi2_gate, quantiles
+from ekfslam.association.nearest import (
+    AMBIGUOUS,
+    NEW,
+    first_within,
+    maximum_likelihood,
+    nearest_neighbour,
+    nearest_within,
+    smallest_distance,
+)
 from ekfslam.errors import InputError
-from ekfslam.estimates import Decision
-from ekfslam.filters.ekf import Ekf, EkfSlam
-from ekfslam.models.sensors import Sensor
-from ekfslam.simulation import load_scenario, simulate
 
 # Gates ------------------------------------------------------------------------------------------
 
@@ -46,22 +45,76 @@ def test_the_gate_for_new_landmarks_is_not_inside_the_other():
         Gates(0.99, 0.98)
 
 
-# The choice -------------------------------------------------------------------------------------
+def test_joint_gates_are_tabulated_by_their_dimension():
+    table = quantiles(0.99, 5)
+    assert table.tolist() == [0.0, *(chi2_gate(0.99, dof) for dof in range(1, 6))]
+    assert quantiles(0.99, 0).tolist() == [0.0]
+    with pytest.raises(InputError, match="probability"):
+        quantiles(1.0, 3)
 
-INF = np.inf
+
+# Descriptors ------------------------------------------------------------------------------------
+
+
+def test_a_descriptor_adds_one_degree_of_freedom(rng):
+    """The squared distance of a true match, on top of an innovation's two, is chi-square of 3."""
+    values, spread, n = rng.normal(0.3, 0.05, 20_000), 0.05, 4
+    means = rng.normal(0.3, spread / np.sqrt(n), values.size)
+    variance = spread**2 * (1 + 1 / n)
+    place = np.sum(rng.normal(size=(values.size, 2)) ** 2, axis=1)
+    pairs = zip(values, means, strict=True)
+    total = place + [descriptor_distance(value, mean, variance) for value, mean in pairs]
+    for probability in (0.5, 0.95):
+        inside = np.mean(total <= chi2_gate(probability, 3))
+        sigma = np.sqrt(probability * (1 - probability) / values.size)
+        assert inside == pytest.approx(probability, abs=4 * sigma)
+
+
+def test_a_descriptor_two_sigmas_away():
+    assert descriptor_distance(0.5, 0.3, 0.01) == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(("value", "mean"), [(np.nan, 0.3), (0.3, np.nan), (np.nan, np.nan)])
+def test_no_descriptor_says_nothing(value, mean):
+    assert descriptor_distance(value, mean, 0.01) == 0.0
+
+
+def test_the_mean_of_a_landmark_skips_what_is_missing(rng):
+    values = rng.normal(0.3, 0.1, 30)
+    values[::4] = np.nan
+    mean, count = np.nan, 0
+    for value in values:
+        mean, count = running_mean(mean, count, value)
+    assert count == np.isfinite(values).sum()
+    assert mean == pytest.approx(np.nanmean(values), rel=1e-12)
+
+
+# The choice from a table ------------------------------------------------------------------------
+
+INF, NAN = np.inf, np.nan
 
 
 @pytest.fixture(params=["compiled", "python"])
-def choose(request):
-    function = nearest_neighbour
-    if request.param == "python":
-        function = getattr(function, "py_func", function)
+def decide(request):
+    """Call a decision, compiled or not: distances first, gates as arrays, the choice returned."""
+
+    def call(function, distances, *more):
+        if request.param == "python":
+            function = getattr(function, "py_func", function)
+        out = np.full(len(distances), -9)
+        function(np.array(distances, dtype=float).reshape(len(distances), -1), *more, out)
+        return out.tolist()
+
+    return call
+
+
+@pytest.fixture
+def choose(decide):
+    """Nearest neighbour with the same gates for all observations."""
 
     def choice(distances, accept=9.0, new=25.0):
-        distances = np.array(distances, dtype=float)
-        out = np.full(len(distances), -9)
-        function(distances, accept, new, out)
-        return out.tolist()
+        m = len(distances)
+        return decide(nearest_neighbour, distances, np.full(m, accept), np.full(m, new))
 
     return choice
 
@@ -76,7 +129,9 @@ def choose(request):
         pytest.param([[9, 30]], [0], id="on the gate to accept"),
         pytest.param([[25, 30]], [AMBIGUOUS], id="on the gate for new ones"),
         pytest.param([[INF, 3]], [1], id="a pair out of the question"),
+        pytest.param([[NAN, 3]], [1], id="a pair without a distance"),
         pytest.param([[INF, INF]], [NEW], id="nothing in question"),
+        pytest.param([[NAN, NAN]], [NEW], id="no distance at all"),
         pytest.param([[], []], [NEW, NEW], id="an empty map"),
         pytest.param([[1, 8], [2, 7]], [0, AMBIGUOUS], id="claimed twice, nearer first"),
         pytest.param([[2, 7], [1, 8]], [AMBIGUOUS, 0], id="claimed twice, nearer last"),
@@ -87,7 +142,15 @@ def choose(request):
     ],
 )
 def test_choice_from_a_table(choose, distances, expected):
-    assert choose(np.array(distances, dtype=float).reshape(len(expected), -1)) == expected
+    assert choose(distances) == expected
+
+
+def test_every_observation_has_gates_of_its_own(decide):
+    """One number, two, and two with a descriptor: the same distance means three things."""
+    accept = np.array([chi2_gate(0.99, dof) for dof in (1, 2, 3)])
+    new = np.array([chi2_gate(0.999, dof) for dof in (1, 2, 3)])
+    apart = [[11, INF, INF], [INF, 11, INF], [INF, INF, 11]]
+    assert decide(nearest_neighbour, apart, accept, new) == [NEW, AMBIGUOUS, 2]
 
 
 def test_choice_against_its_definition(choose, rng):
@@ -107,120 +170,90 @@ def test_choice_against_its_definition(choose, rng):
         assert len(taken) == len(set(taken))
 
 
-# Through the filter -----------------------------------------------------------------------------
-
-XY = Sensor("xy", np.diag([0.01, 0.01]))
-GATES = {"accept": 0.99, "new": 0.9999}  # at 3.03 and 4.29 sigmas
-
-
-def a_map(*points):
-    """A robot that knows exactly where it is and has seen some landmarks once."""
-    slam = EkfSlam(association="nearest", **GATES)
-    slam.observe(Sightings.of(XY, points))
-    return slam
-
-
-def test_two_gates():
-    """A landmark of variance 0.01 seen with variance 0.01: sigma of the innovation is 0.1414."""
-    sigma = np.sqrt(0.02)
-    met = a_map([4, 0], [0, 9], [9, 9]).observe(
-        Sightings.of(XY, [[4 + 3.0 * sigma, 0], [0, 9 + 3.1 * sigma], [9 + 4.3 * sigma, 9]])
-    )
-    assert met.decision.tolist() == [Decision.ACCEPTED, Decision.AMBIGUOUS, Decision.NEW]
-    assert met.landmark.tolist() == [0, -1, 3]
-    np.testing.assert_allclose(met.innovation[0], [3.0 * sigma, 0], rtol=0, atol=1e-12)
-    assert np.isnan(met.innovation[1:]).all()
-
-
-def test_what_is_ambiguous_changes_nothing():
-    slam = a_map([4, 0])
-    before = slam.landmarks
-    met = slam.observe(Sightings.of(XY, [[4.5, 0]]))
-    assert met.decision.tolist() == [Decision.AMBIGUOUS]
-    np.testing.assert_array_equal(slam.pose, 0)
-    np.testing.assert_array_equal(slam.landmarks.positions, before.positions)
-    np.testing.assert_array_equal(slam.landmarks.covariance, before.covariance)
+@pytest.mark.parametrize(
+    ("function", "distances", "threshold", "expected"),
+    [
+        pytest.param(nearest_within, [[2, 0.5, 1]], 1.0, [1], id="the nearest"),
+        pytest.param(first_within, [[2, 0.5, 0.1]], 1.0, [1], id="the first, not the nearest"),
+        pytest.param(smallest_distance, [[30, 8, 9]], 20.0, [1], id="the smallest"),
+        *(
+            case
+            for function in (nearest_within, first_within, smallest_distance)
+            for case in (
+                pytest.param(function, [[9, 4, 9]], 4.0, [1], id="on the threshold"),
+                pytest.param(function, [[9, 4.1, 9]], 4.0, [NEW], id="beyond it"),
+                pytest.param(function, [[9, 1], [9, 2]], 4.0, [1, 1], id="claimed twice"),
+                pytest.param(function, [[NAN, 1]], 4.0, [1], id="a pair without a distance"),
+                pytest.param(function, [[INF, NAN]], 4.0, [NEW], id="nothing in question"),
+                pytest.param(function, [[], []], 4.0, [NEW, NEW], id="an empty map"),
+            )
+        ),
+    ],
+)
+def test_one_threshold(decide, function, distances, threshold, expected):
+    assert decide(function, distances, threshold) == expected
 
 
-def test_one_look_sees_a_landmark_once():
-    met = a_map([4, 0]).observe(Sightings.of(XY, [[4.1, 0], [3.95, 0]]))
-    assert met.decision.tolist() == [Decision.AMBIGUOUS, Decision.ACCEPTED]
+def test_the_notes_and_the_tutorial_differ_on_who_is_within(rng, decide):
+    """Nearest within epsilon (notes on Brenner's lectures), first within D_min (Ciatto, 3.6)."""
+    landmarks, points = rng.uniform(0, 10, (30, 2)), rng.uniform(0, 10, (40, 2))
+    apart = np.linalg.norm(points[:, None] - landmarks, axis=2)
+    near, first = (decide(f, apart, 1.5) for f in (nearest_within, first_within))
+    for i in range(40):
+        inside = np.flatnonzero(apart[i] <= 1.5)
+        assert first[i] == (inside[0] if inside.size else NEW)
+        assert near[i] == (inside[np.argmin(apart[i, inside])] if inside.size else NEW)
+    assert near != first
 
 
-def test_two_looks_may_see_the_same_landmark():
-    look = Sightings.of(XY, [[4.1, 0], [3.95, 0]])
-    met = a_map([4, 0]).observe(look._replace(look=np.array([0, 1])))
-    assert met.decision.tolist() == [Decision.ACCEPTED, Decision.ACCEPTED]
-    met = a_map([9, 9]).observe(look._replace(look=np.array([0, 1])))
-    assert met.decision.tolist() == [Decision.NEW, Decision.ACCEPTED]
-    assert met.landmark.tolist() == [1, 1]
+def test_the_smallest_distance_is_that_of_the_listing(rng, decide):
+    """Alg. 2: the argmin over the landmarks and one that is new, at a distance of alpha."""
+    apart = rng.exponential(12.0, size=(50, 3))
+    listing = np.argmin(np.hstack([apart, np.full((50, 1), 9.0)]), axis=1)
+    expected = np.where(listing == 3, NEW, listing)
+    assert decide(smallest_distance, apart, 9.0) == expected.tolist()
+    assert len(set(expected)) == 4
 
 
-def test_the_uncertainty_of_the_robot_widens_the_gate():
-    """What is far from a landmark for a robot that knows its pose is near for one that does not."""
-    far = Sightings.of(XY, [[4.8, 0]])
-    assert a_map([4, 0]).observe(far).decision.tolist() == [Decision.NEW]
-    slam = a_map([4, 0])
-    slam.predict(np.zeros(3), np.diag([0.2, 0.2, 0.0]))
-    assert slam.observe(far).decision.tolist() == [Decision.ACCEPTED]
+# Maximum likelihood -----------------------------------------------------------------------------
 
 
-def test_identities_are_not_looked_at():
-    dataset = simulate("loop-15", seed=1)
-    blank = np.full(len(dataset.observations), -1)
-    hidden = replace(dataset, observations=replace(dataset.observations, landmark=blank))
-    one, other = (Ekf("nearest").estimate(d) for d in (dataset, hidden))
-    np.testing.assert_array_equal(one.innovations.landmark, other.innovations.landmark)
-    np.testing.assert_array_equal(one.online.poses, other.online.poses)
+def likeliest(decide, distances, logdets, accept=9.0, new=25.0):
+    m = len(distances)
+    logdets = np.array(logdets, dtype=float).reshape(m, -1)
+    return decide(maximum_likelihood, distances, logdets, np.full(m, accept), np.full(m, new))
 
 
-@cache
-def park(seed):
-    """The park without names: the dataset, and estimates without and with them."""
-    unnamed = simulate(replace(load_scenario("park"), association="unknown"), seed=seed)
-    return unnamed, Ekf().estimate(unnamed), Ekf().estimate(simulate("park", seed=seed))
+@pytest.mark.parametrize(
+    ("distances", "logdets", "expected"),
+    [
+        pytest.param([[4, 1]], [[0, 0]], [1], id="alike: the nearest"),
+        pytest.param([[4, 1]], [[-4, 0]], [0], id="the precise one though farther"),
+        pytest.param([[10, 8]], [[-9, 0]], [1], id="not from outside the gate"),
+        pytest.param([[9, 30]], [[0, -99]], [0], id="on the gate"),
+        pytest.param([[10, 24]], [[0, -99]], [AMBIGUOUS], id="between the gates"),
+        pytest.param([[26, 30]], [[0, -99]], [NEW], id="far from all"),
+        pytest.param([[NAN, 1], [INF, 26]], [[-99, 0], [-99, 0]], [1, NEW], id="out of question"),
+        pytest.param([[1], [2]], [[0], [-3]], [AMBIGUOUS, 0], id="claimed twice, likelier last"),
+        pytest.param([[2], [1]], [[-3], [0]], [0, AMBIGUOUS], id="claimed twice, likelier first"),
+        pytest.param([[], []], [[], []], [NEW, NEW], id="an empty map"),
+    ],
+)
+def test_the_likeliest(decide, distances, logdets, expected):
+    assert likeliest(decide, distances, logdets) == expected
 
 
-def ate(estimate, dataset):
-    error = geo.additive_error(dataset.truth, estimate.online.poses)[:, :2]
-    return np.sqrt(np.mean(np.sum(error**2, axis=1)))
-
-
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_nearest_neighbour_makes_no_wrong_match_in_the_park(seed):
-    dataset, estimate, named = park(seed)
-    assert estimate.association == "nearest"
-    decision, landmark = estimate.innovations.decision, estimate.innovations.landmark
-    first = decision == Decision.NEW
-    true_of = dict(zip(landmark[first], dataset.true_landmark[first], strict=True))
-    assert len(set(true_of.values())) == len(true_of) == len(named.landmarks)  # each mapped once
-    accepted = decision == Decision.ACCEPTED
-    matched = np.array([true_of[i] for i in landmark[accepted]])
-    np.testing.assert_array_equal(matched, dataset.true_landmark[accepted])  # precision 1
-    assert accepted.sum() > 0.99 * (~first).sum()  # recall
-    # What the gate leaves out is 1 in 1000 and moves the path by less than its own error.
-    assert ate(estimate, dataset) == pytest.approx(ate(named, dataset), rel=0.1)
-
-
-def test_two_sensors_build_one_map():
-    """What the scanner maps the camera recognises, in the same step."""
-    unnamed = simulate(two_sensors(association="unknown"), seed=1)
-    estimate = Ekf().estimate(unnamed)
-    seen = np.unique(unnamed.true_landmark)
-    assert len(estimate.landmarks) == len(seen)
-
-
-def test_bearings_are_compared_around_the_circle():
-    """A landmark straight behind, whose bearing jumps from pi to -pi, is recognised."""
-    ring = two_sensors(
-        landmarks=LandmarkMap([0, 1], [[-9.0, 0.02], [-9.0, -6.0]]),
-        start=[0.0, 0.0, 0.0],
-        controls=np.tile([0.1, 0.0, 0.0], (40, 1)),
-        sensors=(Sensor("range-bearing", np.diag([0.01, 1e-4])),),
-        prior=Prior(),
-        association="unknown",
-    )
-    dataset = simulate(ring, seed=1)
-    bearings = dataset.observations.values[dataset.true_landmark == 0, 1]
-    assert bearings.min() < -3 < 3 < bearings.max()
-    assert len(Ekf().estimate(dataset).landmarks) == 2
+def test_the_likeliest_is_right_more_often_than_the_nearest(rng, decide):
+    """A vague landmark beside a precise one: the one of largest density is the Bayes choice."""
+    sigmas, places = np.array([1.0, 0.1]), np.array([0.0, 0.7])
+    truth = rng.integers(0, 2, 4000)
+    seen = places[truth, None] * [1, 0] + sigmas[truth, None] * rng.normal(size=(4000, 2))
+    apart = seen[:, None] - places[:, None] * [1, 0]
+    squared = np.sum(apart**2, axis=2) / sigmas**2
+    right = {"nearest": 0, "likeliest": 0}
+    for row, true in zip(squared, truth, strict=True):
+        right["nearest"] += decide(smallest_distance, [row], 1e9) == [true]
+        right["likeliest"] += likeliest(decide, [row], [4 * np.log(sigmas)], 1e9, 1e9) == [true]
+    density = np.exp(-squared / 2) / sigmas**2
+    assert right["likeliest"] == np.sum(density.argmax(axis=1) == truth)
+    assert right["likeliest"] > right["nearest"] + 4 * np.sqrt(4000) / 2

@@ -11,6 +11,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ekfslam.checks import checked_number
 from ekfslam.errors import InputError
 
@@ -35,6 +38,32 @@ def chi2_gate(probability: float, dof: int) -> float:
     if not 0 <= checked_number(probability, "a gate") < 1:
         raise InputError(f"a gate is a probability in [0, 1), got {probability}")
     return float(chdtri(dof, 1.0 - probability))
+
+
+def quantiles(probability: float, most: int) -> NDArray[np.float64]:
+    """Gates on a joint squared distance, by its degrees of freedom.
+
+    Parameters
+    ----------
+    probability : float
+        In [0, 1).
+    most : int
+        Largest number of degrees of freedom.
+
+    Returns
+    -------
+    (most + 1,) ndarray
+        Chi-square quantiles; the first, of no degree of freedom, is 0.
+
+    Raises
+    ------
+    InputError
+        For a probability outside [0, 1).
+    """
+    from scipy.special import chdtri
+
+    chi2_gate(probability, 1)  # refuses what is no probability
+    return np.append(0.0, chdtri(np.arange(1, most + 1), 1.0 - probability))
 
 
 @dataclass(frozen=True)
