@@ -14,9 +14,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
 from ekfslam import plots
-from ekfslam.errors import InputError
+from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.evaluation import tables
-from ekfslam.plots.style import LOOKS
+from ekfslam.plots.style import LOOKS, METHODS, TRUTH
 
 STEPS = 60
 RUN = {"dataset": "ring", "seed": 3, "robot": "robot"}
@@ -359,6 +359,18 @@ def test_looks_differ_and_do_not_depend_on_the_process():
     assert not {plots.look(f"filter-{k}").color for k in range(50)} & taken
 
 
+def test_methods_of_association_have_looks_that_can_be_told_apart():
+    looks = {name: plots.look(f"ekf-{name}") for name in METHODS}
+    assert looks == dict(METHODS)
+    assert plots.look("ekf-known").color == plots.look("ekf").color  # the same filter
+    assert len({(look.color, look.linestyle) for look in looks.values()}) == len(METHODS)
+    assert len({look.marker for look in looks.values()}) == len(METHODS)
+    compared = ["known", "nearest", "joint", "global", "maximum-likelihood", "euclidean"]
+    assert len({looks[name].color for name in compared}) == len(compared)
+    assert plots.look("ekf-jointly") not in looks.values()
+    assert plots.look("joint") not in looks.values()
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_nothing_global_is_touched(run, name):
     with matplotlib.rc_context({"font.size": 13, "pdf.fonttype": 3}):
@@ -457,7 +469,7 @@ def test_an_estimator_that_is_lost_from_the_start_is_left_out(run, name):
 def test_several_runs_in_one_figure_are_an_input_error(run, name, key):
     other = "other" if key == "dataset" else 4
     mixed = [pd.concat([table, table.assign(**{key: other})]) for table in run]
-    with pytest.raises(InputError, match="one dataset, seed and robot"):
+    with pytest.raises(InputError, match="one dataset and seed"):
         draw(name, mixed)
 
 
@@ -475,3 +487,83 @@ def test_a_run_without_a_seed_has_a_title_without_one(run):
     assert plots.plot_times(run[0]).get_suptitle() == "ring, seed 3"
     assert plots.plot_times(recorded[0]).get_suptitle() == "ring"
     assert plots.plot_map(*recorded).get_suptitle() == "ring: map with 3σ ellipses"
+
+
+# Several robots --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def team(run):
+    """The run once more, with a second robot that does the same twenty metres aside."""
+    trajectories, landmarks = run
+    aside = {c: trajectories[c] + 20 for c in ("x_m", "true_x_m")}
+    aside |= {c: 2 * trajectories[c] for c in ("error_x_m", "nees")}
+    both = [trajectories.assign(robot="one"), trajectories.assign(robot="two", **aside)]
+    # By estimator, as tables are stacked.
+    stacked = pd.concat(both).sort_values("estimator", kind="stable", ignore_index=True)
+    return stacked, landmarks.assign(robot=pd.NA)
+
+
+def of_robot(table, robot):
+    return table[table["robot"] == robot]
+
+
+def test_the_map_shows_the_path_of_each_robot_and_the_map_once(team):
+    trajectories, landmarks = team
+    figure = plots.plot_map(*team)
+    (axes,) = figure.axes
+    mine = with_color(axes.lines, "ekf")
+    paths = [points(artist) for artist in mine if artist.get_linestyle() == "-"]
+    for path, robot in zip(paths, ("one", "two"), strict=True):
+        assert_array_equal(path, floats(of(of_robot(trajectories, robot), "ekf"), "x_m", "y_m"))
+    drawn = [a for a in axes.lines if len(a.get_xdata()) == STEPS]
+    truths = [points(a) for a in drawn if a.get_color() == TRUTH]
+    assert len(truths) == 2
+    assert_array_equal(truths[1], truths[0] + [20, 0])
+    assert legend(figure).count("ekf (online)") == legend(figure).count("truth") == 1
+    assert points(line(axes, "start")).shape[0] == 2 * (4 + 1)  # of four estimators and the truth
+    ellipses = [c for c in axes.collections if isinstance(c, LineCollection)]
+    color = plots.look("ekf").color.lower()
+    (ours,) = [c for c in ellipses if to_hex(c.get_edgecolor()[0]) == color]
+    assert len(ours.get_segments()) == len(LANDMARKS) + 2
+    assert_array_equal(
+        [points(a) for a in mine if len(a.get_xdata()) == len(LANDMARKS)],
+        [floats(of(landmarks, "ekf"), "x_m", "y_m")],
+    )
+
+
+@pytest.mark.parametrize("name", ["errors", "consistency"])
+def test_errors_are_of_one_robot_at_a_time(team, name):
+    trajectories = team[0]
+    plot = getattr(plots, f"plot_{name}")
+    for robot in ("one", "two"):
+        alone = plot(of_robot(trajectories, robot))
+        figure = plot(trajectories, robot=robot)
+        assert f"ring, seed 3, {robot}" in figure.get_suptitle()
+        assert f", {robot}" not in alone.get_suptitle()
+        for panel, expected in zip(figure.axes, alone.axes, strict=True):
+            for mine, theirs in zip(panel.lines, expected.lines, strict=True):
+                assert_array_equal(points(mine), points(theirs))
+    assert plot(trajectories)._repr_png_() == plot(trajectories, robot="one")._repr_png_()
+    with pytest.raises(UnknownNameError, match="'three'"):
+        plot(trajectories, robot="three")
+
+
+def test_times_are_shown_once(team, figures):
+    figure = plots.plot_times(team[0])
+    for curve, expected in zip(
+        sorted(figure.axes[0].lines, key=lambda a: a.get_label()),
+        sorted(figures["times"].axes[0].lines, key=lambda a: a.get_label()),
+        strict=True,
+    ):
+        assert_array_equal(points(curve), points(expected))
+
+
+def test_a_robot_without_a_path_is_left_out_of_the_map(team):
+    trajectories = team[0].copy()
+    trajectories.loc[trajectories["robot"] == "one", ["x_m", "true_x_m"]] = np.nan
+    (axes,) = plots.plot_map(trajectories, team[1]).axes
+    assert_array_equal(
+        points(line(axes, "ekf (online)")),
+        floats(of(of_robot(trajectories, "two"), "ekf"), "x_m", "y_m"),
+    )

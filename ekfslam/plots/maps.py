@@ -24,9 +24,9 @@ class _Content(NamedTuple):
     """What the map shows of an estimator."""
 
     series: Series
-    path: Array
+    paths: list[Array]  # one per robot
     landmarks: Array
-    means: Array  # of the ellipses: the landmarks and the last pose, where there is a covariance
+    means: Array  # of the ellipses: the landmarks and the last poses, where there is a covariance
     covariances: Array
 
 
@@ -35,15 +35,16 @@ def plot_map(
 ) -> Figure:
     """Map of a run: true and estimated paths, landmarks with 3-sigma ellipses.
 
-    Each estimator is shown with the series that knows most, smoothed before online. The ellipses
-    (98.9 % of a 2-D Gaussian) are those of the landmarks and of the last pose. The frame holds the
+    Each estimator is shown with the series that knows most, smoothed before online, and with the
+    paths of all robots. The ellipses (98.9 % of a 2-D Gaussian) are those of the landmarks and of
+    the last pose of each robot. The frame holds the
     truth, or without one what most estimators agree on, and every path that is not much larger;
     the legend says which paths leave it.
 
     Parameters
     ----------
     trajectories, landmarks : DataFrame
-        Rows of one dataset, seed and robot.
+        Rows of one dataset and seed.
     known : (L, 2) array_like, optional
         True landmarks [m]; by default those in the table.
 
@@ -58,19 +59,19 @@ def plot_map(
     """
     title = check_one_run(trajectories, landmarks)
     contents = [_content(series, landmarks) for series in final_series(trajectories)]
-    contents = [content for content in contents if len(content.path)]
-    true_path = _true_path(trajectories)
+    contents = [content for content in contents if content.paths]
+    true_paths = _true_paths(trajectories)
     true_map = _true_map(landmarks) if known is None else np.asarray(known, float).reshape(-1, 2)
-    truth = np.concatenate([true_path, true_map])
+    truth = np.concatenate([*true_paths, true_map])
     low, high = _frame(truth, contents)
     with drawing(PAGE, _height(high - low)) as figure:
         axes = figure.add_subplot(aspect="equal", xlabel="x [m]", ylabel="y [m]")
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         for content in contents:
             _draw(axes, content, (low, high))
-        _draw_truth(axes, true_path, true_map)
-        paths = [(c.path, look(c.series.estimator).color) for c in contents]
-        _draw_ends(axes, paths + [(true_path, TRUTH)] * bool(len(true_path)))
+        _draw_truth(axes, true_paths, true_map)
+        ends = [(path, look(c.series.estimator).color) for c in contents for path in c.paths]
+        _draw_ends(axes, ends + [(path, TRUTH) for path in true_paths])
         figure.suptitle(f"{title}: map with 3σ ellipses" if contents else "no estimate to show")
         figure.legend(loc="outside lower center", ncols=3)
     return figure
@@ -83,10 +84,16 @@ def _finite(rows: Array) -> Array:
     return rows[np.isfinite(rows).all(axis=1)]
 
 
-def _true_path(trajectories: pd.DataFrame) -> Array:
+def _paths(series: Series, *columns: str) -> list[Array]:
+    """The path of each robot, of those that have one."""
+    paths = [_finite(numbers(rows, *columns)) for rows in series.robots]
+    return [path for path in paths if len(path)]
+
+
+def _true_paths(trajectories: pd.DataFrame) -> list[Array]:
     for series in series_of(trajectories):
-        return _finite(numbers(series.rows, "true_x_m", "true_y_m"))
-    return np.empty((0, 2))
+        return _paths(series, "true_x_m", "true_y_m")
+    return []
 
 
 def _true_map(landmarks: pd.DataFrame) -> Array:
@@ -96,13 +103,14 @@ def _true_map(landmarks: pd.DataFrame) -> Array:
 def _content(series: Series, landmarks: pd.DataFrame) -> _Content:
     own = (landmarks["estimator"] == series.estimator) & (landmarks["series"] == series.name)
     columns = ("x_m", "y_m", "cov_xx", "cov_xy", "cov_yy")
-    poses, points = numbers(series.rows, *columns), numbers(landmarks[own], *columns)
-    gaussians = _finite(np.concatenate([points, poses[-1:]]))
+    points = numbers(landmarks[own], *columns)
+    last = [numbers(rows, *columns)[-1:] for rows in series.robots]
+    gaussians = _finite(np.concatenate([points, *last]))
     covariances = gaussians[:, [2, 3, 3, 4]].reshape(-1, 2, 2)
     valid = _is_covariance(covariances)
     return _Content(
         series,
-        _finite(poses[:, :2]),
+        _paths(series, "x_m", "y_m"),
         _finite(points[:, :2]),
         gaussians[valid, :2],
         covariances[valid],
@@ -120,7 +128,7 @@ def _is_covariance(matrices: Array) -> np.ndarray:
 
 def _frame(truth: Array, contents: list[_Content]) -> tuple[Array, Array]:
     """Corners of the view: the truth and the estimates that are not much larger, with a margin."""
-    boxes = [np.concatenate([truth, content.path, content.landmarks]) for content in contents]
+    boxes = [np.concatenate([truth, *content.paths, content.landmarks]) for content in contents]
     # Where no truth says how large the world is, those do who have mapped it: dead reckoning has
     # nothing to hold on to.
     mappers = [b for b, c in zip(boxes, contents, strict=True) if len(c.landmarks)] or boxes
@@ -149,9 +157,10 @@ def _height(extent: Array) -> float:
 
 def _draw(axes: Axes, content: _Content, frame: tuple[Array, Array]) -> None:
     color, marker, linestyle = look(content.series.estimator)
-    leaves = ((content.path < frame[0]) | (content.path > frame[1])).any()
+    everywhere = np.concatenate(content.paths)
+    leaves = ((everywhere < frame[0]) | (everywhere > frame[1])).any()
     label = content.series.label + (", leaves the frame" if leaves else "")
-    axes.plot(*content.path.T, color=color, linestyle=linestyle, label=label, zorder=3)
+    _draw_paths(axes, content.paths, label, color=color, linestyle=linestyle, zorder=3)
     axes.plot(
         *content.landmarks.T,
         color=color,
@@ -171,9 +180,14 @@ def _draw(axes: Axes, content: _Content, frame: tuple[Array, Array]) -> None:
     )
 
 
-def _draw_truth(axes: Axes, path: Array, landmarks: Array) -> None:
-    if len(path):
-        axes.plot(*path.T, color=TRUTH, linewidth=0.5, label="truth", zorder=5)
+def _draw_paths(axes: Axes, paths: list[Array], label: str, **appearance: Any) -> None:
+    """The paths of all robots under one name in the legend."""
+    for index, path in enumerate(paths):
+        axes.plot(*path.T, label="" if index else label, **appearance)
+
+
+def _draw_truth(axes: Axes, paths: list[Array], landmarks: Array) -> None:
+    _draw_paths(axes, paths, "truth", color=TRUTH, linewidth=0.5, zorder=5)
     if len(landmarks):
         axes.plot(
             *landmarks.T,

@@ -1,4 +1,4 @@
-"""What the figures read from the tables: one run, its series, columns as numbers."""
+"""What the figures read from the tables: one run, its robots and series, columns as numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from ekfslam.errors import InputError
+from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.geometry import Array
 
 # A diverged run can hold numbers whose squares overflow; no figure has room for them.
@@ -27,6 +27,11 @@ class Series(NamedTuple):
         """How a legend calls it."""
         return f"{self.estimator} ({self.name})"
 
+    @property
+    def robots(self) -> list[pd.DataFrame]:
+        """Its rows by robot, in order of appearance."""
+        return [rows for _, rows in self.rows.groupby("robot", sort=False, dropna=False)]
+
 
 def check_one_run(*tables: pd.DataFrame) -> str:
     """Check that tables are of one run; return what a title says of it.
@@ -34,19 +39,48 @@ def check_one_run(*tables: pd.DataFrame) -> str:
     Raises
     ------
     InputError
-        If they hold several datasets, seeds or robots, or lack these columns.
+        If they hold several datasets or seeds, or lack columns that tell whose rows they are.
     """
-    keys = {"dataset": "string", "seed": "Int64", "robot": "string"}
+    keys = {"dataset": "string", "seed": "Int64"}
     for table in tables:
-        missing = [key for key in (*keys, "estimator", "series") if key not in table]
+        missing = [key for key in (*keys, "robot", "estimator", "series") if key not in table]
         if missing:
             raise InputError(f"the table has no column {', '.join(missing)}")
     runs = pd.concat([table[list(keys)].astype(keys) for table in tables]).drop_duplicates()
     if len(runs) > 1:
-        raise InputError("a figure shows one dataset, seed and robot; select them in the tables")
-    for dataset, seed, _ in runs.itertuples(index=False):
+        raise InputError("a figure shows one dataset and seed; select them in the tables")
+    for dataset, seed in runs.itertuples(index=False):
         return str(dataset) if pd.isna(seed) else f"{dataset}, seed {int(seed)}"
     return ""
+
+
+def of_robot(trajectories: pd.DataFrame, robot: str | None) -> tuple[pd.DataFrame, str]:
+    """The rows of one robot of a run, and what a title says of it.
+
+    Parameters
+    ----------
+    trajectories : DataFrame
+    robot : str, optional
+        Name; the first one by default.
+
+    Returns
+    -------
+    DataFrame
+    str
+        Empty if there is only one.
+
+    Raises
+    ------
+    UnknownNameError
+        If the table holds no such robot.
+    """
+    names = list(trajectories["robot"].astype("string").unique())
+    if robot is not None and robot not in names:
+        raise UnknownNameError("robot of this table", robot, names)
+    if len(names) < 2:
+        return trajectories, ""
+    chosen = names[0] if robot is None else robot
+    return trajectories[trajectories["robot"] == chosen], f", {chosen}"
 
 
 def series_of(table: pd.DataFrame) -> Iterator[Series]:

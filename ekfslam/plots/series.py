@@ -13,7 +13,15 @@ from matplotlib.figure import Figure
 
 from ekfslam.evaluation.statistics import chi2_interval
 from ekfslam.geometry import Array
-from ekfslam.plots.rows import Series, check_one_run, numbers, root, series_of, typical
+from ekfslam.plots.rows import (
+    Series,
+    check_one_run,
+    numbers,
+    of_robot,
+    root,
+    series_of,
+    typical,
+)
 from ekfslam.plots.style import COLUMN, PAGE, QUIET, TRUTH, drawing, look
 
 SIGMAS = 3.0
@@ -25,7 +33,7 @@ _ROWS = ("x error [m]", "y error [m]", "heading error [deg]")
 _INTERVAL = "95 % interval"
 
 
-def plot_errors(trajectories: pd.DataFrame) -> Figure:
+def plot_errors(trajectories: pd.DataFrame, robot: str | None = None) -> Figure:
     """Errors of x, y and heading against time within the estimator's own 3-sigma band.
 
     A column per estimator and series; a row has one scale, and a series that would squash the
@@ -35,7 +43,9 @@ def plot_errors(trajectories: pd.DataFrame) -> Figure:
     Parameters
     ----------
     trajectories : DataFrame
-        Rows of one dataset, seed and robot.
+        Rows of one dataset and seed.
+    robot : str, optional
+        Whose poses, where there are several robots; the first one by default.
 
     Returns
     -------
@@ -45,24 +55,30 @@ def plot_errors(trajectories: pd.DataFrame) -> Figure:
     ------
     InputError
         If the table holds several runs or lacks columns.
+    UnknownNameError
+        If it holds no such robot.
     """
     title = check_one_run(trajectories)
+    trajectories, whose = of_robot(trajectories, robot)
+    title += whose
     curves = [_error_curve(series) for series in series_of(trajectories)]
     curves = [curve for curve in curves if np.isfinite(curve.error).any()]
     return _errors(curves, title) if curves else _deviations(trajectories, title)
 
 
-def plot_consistency(trajectories: pd.DataFrame) -> Figure:
+def plot_consistency(trajectories: pd.DataFrame, robot: str | None = None) -> Figure:
     """NEES of the pose and NIS per degree of freedom against their 95 % intervals.
 
     The two-sided intervals are those of one sample: chi-square with 3 degrees of freedom for the
     NEES of a pose, and that of each step's own degrees of freedom for its NIS (Bar-Shalom et al.
-    2001). Without a truth there is no NEES.
+    2001). Without a truth there is no NEES. The NIS of several robots is theirs together.
 
     Parameters
     ----------
     trajectories : DataFrame
-        Rows of one dataset, seed and robot.
+        Rows of one dataset and seed.
+    robot : str, optional
+        Whose poses, where there are several robots; the first one by default.
 
     Returns
     -------
@@ -72,8 +88,12 @@ def plot_consistency(trajectories: pd.DataFrame) -> Figure:
     ------
     InputError
         If the table holds several runs or lacks columns.
+    UnknownNameError
+        If it holds no such robot.
     """
     title = check_one_run(trajectories)
+    trajectories, whose = of_robot(trajectories, robot)
+    title += whose
     everything = list(series_of(trajectories))
     judged = [s for s in everything if np.isfinite(numbers(s.rows, "nees")).any()]
     names = list(dict.fromkeys(series.name for series in judged))
@@ -93,12 +113,12 @@ def plot_consistency(trajectories: pd.DataFrame) -> Figure:
 
 
 def plot_times(trajectories: pd.DataFrame) -> Figure:
-    """Time per step of each estimator that measures it.
+    """Time per step of each estimator that measures it, of several robots that of them all.
 
     Parameters
     ----------
     trajectories : DataFrame
-        Rows of one dataset, seed and robot.
+        Rows of one dataset and seed.
 
     Returns
     -------
@@ -110,6 +130,7 @@ def plot_times(trajectories: pd.DataFrame) -> Figure:
         If the table holds several runs or lacks columns.
     """
     title = check_one_run(trajectories)
+    trajectories, _ = of_robot(trajectories, None)  # every robot's rows hold the same times
     timed = {series.estimator: series for series in series_of(trajectories)}
     curves = [(name, _times(series)) for name, series in timed.items()]
     curves = [(name, times) for name, times in curves if np.isfinite(times).any()]

@@ -68,6 +68,20 @@ LOOKS: Mapping[str, Look] = {
 }
 """Estimators that come with the package."""
 
+METHODS: Mapping[str, Look] = {
+    "known": Look(_BLUE, "o", "-"),
+    "joint": Look(_GREEN, "s", "-"),
+    "nearest": Look(_VERMILLION, "v", "--"),
+    "global": Look(_PURPLE, "D", "-."),
+    "maximum-likelihood": Look(_ORANGE, "^", "--"),
+    "smallest-distance": Look(_ORANGE, "<", ":"),
+    "euclidean": Look(_SKY, "P", "-."),
+    "euclidean-first": Look(_SKY, "X", ":"),
+    "mahalanobis-first": Look("#999999", "x", ":"),
+}
+"""The EKF by method of association, as in ``ekf-joint``; a method that is a form of another one
+shares its colour."""
+
 _OTHERS = tuple(
     Look(color, marker, linestyle)
     for (marker, linestyle), color in product(
@@ -82,9 +96,12 @@ def look(estimator: str) -> Look:
     Parameters
     ----------
     estimator : str
-        Name. One that is not in `LOOKS` gets a look of its own that depends on the name alone.
+        Name. One that is not in `LOOKS`, nor "ekf-" with a method of `METHODS`, gets a look of its
+        own that depends on the name alone.
     """
     known = LOOKS.get(estimator)
+    if known is None and estimator.startswith("ekf-"):
+        known = METHODS.get(estimator.removeprefix("ekf-"))
     return known or _OTHERS[zlib.crc32(estimator.encode()) % len(_OTHERS)]
 
 
