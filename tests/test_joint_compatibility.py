@@ -244,6 +244,15 @@ def test_nothing_to_choose_from(rng, m, C):
     assert choice.tolist() == [NEW] * m
 
 
+def test_an_open_gate_still_leaves_out_what_has_no_distance(rng):
+    look = draw(rng, 3, 3, clutter=0.0)
+    pairs = look.pairs([(i, j) for i in range(3) for j in range(3)])
+    apart, choice = np.full((3, 3), np.inf), np.full(3, -9)
+    apart[0, 1], open_ = 1.0, np.full(3, np.inf)
+    joint_compatibility(*pairs, apart, open_, look.gates[1], np.full(7, np.inf), PLENTY, choice)
+    assert choice.tolist() == [1, NEW, NEW]
+
+
 def test_a_common_error_is_seen_through():
     """A robot 0.8 m off its estimate sees three posts; each alone fits another post better."""
     landmarks = np.array([[0.0, 0.0], [1.0, 0.0], [2.5, 0.0], [3.3, 0.0]])

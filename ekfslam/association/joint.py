@@ -149,9 +149,10 @@ def plant(pairs, distances, accept):  # type: ignore[no-untyped-def]
     sizes, apart = np.zeros(accept.size), np.full(pairs.row.size, np.inf)
     for k in range(pairs.row.size):
         i = pairs.row[k]
-        if distances[i, pairs.column[k]] <= accept[i]:
+        distance = distances[i, pairs.column[k]]
+        if distance <= accept[i] and distance < np.inf:
             sizes[i] += 1
-            apart[k] = distances[i, pairs.column[k]]
+            apart[k] = distance
     order = np.empty(accept.size, np.int64)
     n, last = 0, 0
     for i in range(accept.size):
