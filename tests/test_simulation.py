@@ -5,6 +5,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+from simulated import exact_values
 
 from ekfslam import geometry as geo
 from ekfslam.dataset import LandmarkMap, Prior
@@ -63,17 +64,6 @@ def long_run(steps: int, **changes) -> Scenario:
     return two_sensors(**{**values, **changes})
 
 
-def exact_values(dataset):
-    """The direct model of every row's own sensor at the truth."""
-    rows = dataset.observations
-    values = np.empty_like(rows.values)
-    for index, sensor in enumerate(dataset.sensors):
-        mine = rows.sensor == index
-        points = dataset.true_map.positions[dataset.true_landmark[mine]]
-        values[mine] = sensor.observe(dataset.truth[rows.step[mine]], points)[0]
-    return values
-
-
 def deviations(dataset, scenario):
     """Everything that was drawn, as differences to what would have been without noise."""
     rows = dataset.observations
@@ -110,9 +100,38 @@ def test_same_seed_same_bytes_and_another_seed_another_draw(name, tmp_path):
     simulate(name, seed=3).save(tmp_path / "b.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     one, other = simulate(name, seed=3), simulate(name, seed=4)
-    assert not np.array_equal(one.robot.controls, other.robot.controls)
+    for mine, theirs in zip(one.robots, other.robots, strict=True):
+        driven = [np.concatenate([r.controls, r.truth[1:]], axis=1) for r in (mine, theirs)]
+        assert not np.array_equal(*driven)
     assert not np.array_equal(one.observations.values, other.observations.values)
     np.testing.assert_array_equal(one.true_map.positions, other.true_map.positions)
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "sums"),
+    [
+        ("park", 6614, [0.5150510058882105, 38.161794091638725, -62.71808609554233, -437.23898703]),
+        (
+            "cloister",
+            7200,
+            [0.08649533024299264, 4.603799053772342, -14.0746247539, -178.887501044],
+        ),
+        (
+            "loop-15",
+            2674,
+            [1.4221390230247033, 10.042193492752435, -25.835349787285626, -5.17603924],
+        ),
+    ],
+)
+def test_the_first_scenarios_draw_what_they_always_drew(name, count, sums):
+    """Published results rest on these: sums with weights cos 0, cos 1, ... over each array."""
+    data = simulate(name, seed=1)
+    arrays = (data.robot.controls, data.truth, data.observations.values, data.observations.step)
+    weighted = [np.cos(np.arange(array.size)) @ array.ravel() for array in arrays]
+    assert len(data.observations) == count
+    np.testing.assert_allclose(weighted, sums, rtol=1e-9)
+    assert data.observations.observed_robot is None
+    assert data.observations.descriptor is None
 
 
 def test_memory_chunks_do_not_change_the_draw(monkeypatch):
@@ -195,14 +214,50 @@ def test_scaled_proportional_noise():
 @pytest.mark.parametrize("name", shipped())
 def test_nothing_drawn_is_the_truth_that_still_states_its_noise(name):
     data, noisy = simulate(name, draw=0.0), simulate(name)
-    np.testing.assert_allclose(
-        geo.integrate(data.prior.mean, data.robot.increments.deltas), data.truth, atol=1e-12
-    )
-    np.testing.assert_allclose(data.observations.values, exact_values(data), atol=1e-12)
-    np.testing.assert_array_equal(data.robot.motion.covariance, noisy.robot.motion.covariance)
+    for robot, loud in zip(data.robots, noisy.robots, strict=True):
+        integrated = geo.integrate(robot.prior.mean, robot.increments.deltas)
+        np.testing.assert_allclose(integrated, robot.truth, atol=1e-12)
+        np.testing.assert_array_equal(robot.motion.covariance, loud.motion.covariance)
+        np.testing.assert_array_equal(robot.prior.covariance, loud.prior.covariance)
+        assert robot.motion.covariance.any()
+    exact = exact_values(data)
+    shown = np.isfinite(exact).all(axis=1)
+    assert shown.mean() > 0.9  # the rest is clutter
+    np.testing.assert_allclose(data.observations.values[shown], exact[shown], atol=1e-12)
     for quiet, loud in zip(data.sensors, noisy.sensors, strict=True):
         np.testing.assert_array_equal(quiet.covariance, loud.covariance)
-    assert data.robot.motion.covariance.any()
+
+
+@pytest.mark.parametrize("noise_on", ["odometry", "motion"])
+def test_odometry_noise_scales_controls_and_slip_alone(noise_on):
+    motion = MotionModel("odometry", CORRELATED, slip=0.05)
+    scenario = two_sensors(motion=motion, noise_on=noise_on)
+    full, half = simulate(scenario, seed=1), simulate(scenario, seed=1, odometry_noise=0.5)
+    whole, part = deviations(full, scenario), deviations(half, scenario)
+    for name in ("controls", "increments"):
+        np.testing.assert_allclose(part[name], whole[name] / 2, atol=1e-13)
+    np.testing.assert_array_equal(half.prior.mean, full.prior.mean)
+    np.testing.assert_allclose(half.robot.motion.covariance, CORRELATED / 4)
+    assert half.robot.motion.slip == 0.025
+    assert half.sensors == full.sensors
+    assert "odometry noise 0.5" in half.provenance
+    assert "odometry noise" not in full.provenance
+
+
+def test_odometry_noise_leaves_what_is_seen_from_an_undisturbed_path():
+    full, double = simulate(two_sensors(), seed=1), simulate(two_sensors(), 1, odometry_noise=2.0)
+    np.testing.assert_array_equal(full.truth, double.truth)
+    np.testing.assert_array_equal(full.observations.values, double.observations.values)
+    assert not np.array_equal(full.robot.controls, double.robot.controls)
+
+
+def test_odometry_noise_multiplies_noise():
+    scenario = two_sensors(motion=MotionModel("odometry", CORRELATED, slip=0.05))
+    both = simulate(scenario, seed=1, noise=0.5, odometry_noise=2.0)
+    half, full = simulate(scenario, seed=1, noise=0.5), simulate(scenario, seed=1)
+    np.testing.assert_array_equal(both.robot.controls, full.robot.controls)
+    assert both.robot.motion == full.robot.motion
+    assert both.sensors == half.sensors
 
 
 def test_draw_scales_what_is_drawn_alone():
@@ -482,6 +537,7 @@ def test_a_negative_range_is_an_error_that_says_what_to_do():
         ({"noise": -1.0}, "noise"),
         ({"noise": float("nan")}, "noise"),
         ({"draw": float("inf")}, "draw"),
+        ({"odometry_noise": -1.0}, "odometry_noise"),
     ],
 )
 def test_senseless_arguments_are_refused(arguments, message):

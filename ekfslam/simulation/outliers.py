@@ -60,13 +60,13 @@ def mistake(seen: Rows, share: float, ids: np.ndarray, random: np.random.Generat
         Probability that a sighting is mistaken.
     ids : (L,) ndarray of int
         Identities in the world. A mistaken sighting carries, with equal probability, one of those
-        that nothing in the same look is or carries.
+        that nothing in the same look is or carries; its own where none is left.
     random : Generator
 
     Raises
     ------
     InputError
-        If a look leaves no such landmark.
+        If no look leaves any.
     """
     named = seen.named.copy()
     wrong = random.random(len(named)) < share
@@ -76,10 +76,8 @@ def mistake(seen: Rows, share: float, ids: np.ndarray, random: np.random.Generat
         for row in first + np.flatnonzero(wrong[first:stop]):
             taken = np.concatenate([seen.landmark[first:stop], named[first:stop]])
             free = np.setdiff1d(ids, taken)
-            if not len(free):
-                raise InputError(
-                    f"wrong_ids: at step {seen.step[row]} no landmark is out of sight that one in "
-                    "sight could be taken for"
-                )
-            named[row] = random.choice(free)
+            if len(free):
+                named[row] = random.choice(free)
+    if wrong.any() and (named == seen.named).all():
+        raise InputError("wrong_ids: every look holds all landmarks; none is left to be taken for")
     return seen._replace(named=named)

@@ -120,7 +120,7 @@ class Scenario:
         what the sensor sees. They carry no identity.
     wrong_ids : float
         Share of the sightings of landmarks that carry the identity of one that is not in the look,
-        each with the same probability. For a known association.
+        each with the same probability; their own where none is left. For a known association.
     descriptors : (L,) array_like, optional
         One number of each landmark that its sightings report, such as a trunk diameter [m].
     descriptor_sigma : float

@@ -57,7 +57,7 @@ def simulate(
     ------
     UnknownNameError, FileFormatError, InputError
         As `load_scenario`; and InputError if seed or a scale is negative, a range that was drawn
-        is, or a landmark cannot be taken for another because all are in sight.
+        is, or no landmark can be taken for another because all are always in sight.
 
     Notes
     -----
