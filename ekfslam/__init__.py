@@ -20,7 +20,7 @@ _HOMES = {
     "Comparison": "ekfslam.experiments",
     "Dataset": "ekfslam.dataset",
     "Ekf": "ekfslam.filters.ekf",
-    "EkfSlam": "ekfslam.filters.ekf",
+    "EkfSlam": "ekfslam.filters.online",
     "EkfslamError": "ekfslam.errors",
     "Estimate": "ekfslam.estimates",
     "FileFormatError": "ekfslam.errors",

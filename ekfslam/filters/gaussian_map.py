@@ -1,34 +1,17 @@
-"""The map of EKF-SLAM: one Gaussian over the robot's pose and all landmarks (Solà, 2.2)."""
+"""The map of EKF-SLAM: one Gaussian over the poses of the robots and all landmarks (Solà, 2.2)."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
 from ekfslam.dataset import Prior
 from ekfslam.errors import EkfslamError, InputError
 from ekfslam.filters import kernels
+from ekfslam.filters.arrays import MapArrays
+from ekfslam.filters.measure import POINT, POSE
 from ekfslam.geometry import Array
-
-POSE, POINT = 3, 2
-
-
-class MapArrays(NamedTuple):
-    """What the compiled loop works on.
-
-    Attributes
-    ----------
-    mean : (capacity,) ndarray
-    covariance : (capacity, capacity) ndarray
-        Its upper triangle up to `size` is the covariance.
-    size : (1,) ndarray of int
-        Dimension of the state.
-    """
-
-    mean: Array
-    covariance: Array
-    size: np.ndarray
 
 
 class GaussianMap:
@@ -39,35 +22,40 @@ class GaussianMap:
 
     Parameters
     ----------
-    prior : Prior
-        Of the pose.
+    priors : Prior or sequence of Prior
+        Of the pose of each robot; independent of each other.
     landmarks : int
-        Room to begin with.
+        Room to begin with, in points.
     """
 
-    def __init__(self, prior: Prior, landmarks: int = 32) -> None:
-        capacity = POSE + POINT * max(landmarks, 1)
+    def __init__(self, priors: Prior | Sequence[Prior], landmarks: int = 32) -> None:
+        priors = [priors] if isinstance(priors, Prior) else list(priors)
+        self.robots = len(priors)
+        capacity = POSE * self.robots + POINT * max(landmarks, 1)
         self.arrays = MapArrays(
-            np.zeros(capacity), np.zeros((capacity, capacity)), np.array([POSE], dtype=np.int64)
+            np.zeros(capacity),
+            np.zeros((capacity, capacity)),
+            np.array([POSE * self.robots], dtype=np.int64),
         )
-        self.arrays.mean[:POSE] = prior.mean
-        self.arrays.covariance[:POSE, :POSE] = prior.covariance
+        for robot, prior in enumerate(priors):
+            at = slice(POSE * robot, POSE * robot + POSE)
+            self.arrays.mean[at] = prior.mean
+            self.arrays.covariance[at, at] = prior.covariance
 
     @property
     def size(self) -> int:
-        """Dimension of the state, 3 + 2 L."""
+        """Dimension of the state."""
         return int(self.arrays.size[0])
 
     @property
     def mean(self) -> Array:
-        """Mean (pose, landmarks), (3 + 2 L,); a view."""
+        """Mean (poses, landmarks), (size,); a view."""
         return self.arrays.mean[: self.size]
 
     @property
     def covariance(self) -> Array:
-        """Covariance (3 + 2 L, 3 + 2 L), additive; a full symmetric copy."""
-        upper = np.triu(self.arrays.covariance[: self.size, : self.size])
-        return upper + np.triu(upper, 1).T
+        """Covariance (size, size), additive; a full symmetric copy."""
+        return self.block(0, self.size)
 
     def block(self, offset: int, size: int) -> Array:
         """Marginal covariance of some coordinates, (size, size); a copy at the block's cost."""
@@ -86,7 +74,7 @@ class GaussianMap:
         covariance[:n, :n] = self.arrays.covariance[:n, :n]
         self.arrays = MapArrays(mean, covariance, self.arrays.size)
 
-    def move(self, increment: Array, covariance: Array) -> None:
+    def move(self, increment: Array, covariance: Array, robot: int = 0) -> None:
         """Robot motion.
 
         Parameters
@@ -95,22 +83,26 @@ class GaussianMap:
             In the frame of the pose before [m, m, rad].
         covariance : (3, 3) ndarray
             Of the increment, in that frame.
+        robot : int
         """
         mean, P, _ = self.arrays
-        kernels.move(mean, P, self.size, increment, covariance)
+        kernels.move(mean, P, self.size, POSE * robot, increment, covariance)
 
-    def correct(self, offsets: np.ndarray, H: Array, innovation: Array, R: Array) -> float:
-        """Map correction by m observations jointly.
+    def correct(
+        self, offsets: np.ndarray, H: Array, innovation: Array, R: Array, robot: int = 0
+    ) -> float:
+        """Map correction by m observations from one pose jointly.
 
         Parameters
         ----------
         offsets : (m,) ndarray of int
             Where the observed landmarks stand in the state.
-        H : (m, 2, 5) ndarray
-            Jacobians with respect to pose and landmark.
-        innovation : (m, 2) ndarray
-        R : (m, 2, 2) ndarray
+        H : (m, d, 3 + s) ndarray
+            Jacobians of d values each with respect to pose and landmark of s coordinates.
+        innovation : (m, d) ndarray
+        R : (m, d, d) ndarray
             Noise.
+        robot : int
 
         Returns
         -------
@@ -123,55 +115,108 @@ class GaussianMap:
             If the innovation covariance is not positive definite; the map is untouched.
         """
         mean, P, _ = self.arrays
-        m, n = len(offsets), self.size
-        rows = np.empty((2 * m, len(mean)))
+        n, pose = self.size, POSE * robot
+        m, d, size = H.shape[0], H.shape[1], H.shape[2] - POSE
+        rows = np.empty((d * m, len(mean)))
         for i, offset in enumerate(offsets):
-            kernels.project(P, n, int(offset), H[i], rows[2 * i : 2 * i + 2])
-        S = np.zeros((2 * m, 2 * m))
+            kernels.project(P, n, pose, int(offset), size, H[i], d, rows[d * i : d * i + d])
+        S = np.zeros((d * m, d * m))
         for i, offset in enumerate(offsets):
-            columns = np.r_[:POSE, offset : offset + POINT]
-            S[:, 2 * i : 2 * i + 2] = rows[:, columns] @ H[i].T
-            S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += R[i]
-        nis = kernels.correct(mean, P, n, rows, S, innovation.reshape(-1).copy(), 2 * m)
+            columns = np.r_[pose : pose + POSE, offset : offset + size]
+            block = slice(d * i, d * i + d)
+            S[:, block] = rows[:, columns] @ H[i].T
+            S[block, block] += R[i]
+        nu = innovation.reshape(-1).copy()
+        nis = kernels.correct(mean, P, n, rows, S, nu, d * m, self.robots)
         if np.isnan(nis):
             raise EkfslamError("the innovation covariance is not positive definite")
         return float(nis)
 
-    def append(self, landmark: Array, wrt_pose: Array, noise: Array) -> int:
-        """Landmark initialization.
+    def append(
+        self,
+        landmark: Array,
+        wrt_pose: Array,
+        wrt_value: Array,
+        R: Array,
+        wrt_prior: Array | None = None,
+        S: Array | None = None,
+        robot: int = 0,
+    ) -> int:
+        """Landmark initialization g(R, S, y, s), with a prior s where y is partial.
+
+        Solà, Eqs. 31 to 38 for full observations and 39 to 45 for partial ones: the covariance of
+        the landmark given the pose is ``G_y R G_y' + G_s S G_s'``.
 
         Parameters
         ----------
-        landmark : (2,) ndarray
-            Position in the world.
-        wrt_pose : (2, 3) ndarray
-            Derivative of the position with respect to the pose.
-        noise : (2, 2) ndarray
-            Covariance of the position given the pose.
+        landmark : (n,) ndarray
+            Its coordinates.
+        wrt_pose : (n, 3) ndarray
+            G_R, their derivative with respect to the pose.
+        wrt_value : (n, d) ndarray
+            G_y, with respect to the measurement.
+        R : (d, d) ndarray
+            Noise of the measurement.
+        wrt_prior : (n, p) ndarray, optional
+            G_s, with respect to the prior.
+        S : (p, p) ndarray, optional
+            Covariance of the prior.
+        robot : int
+            From whose pose it is seen.
 
         Returns
         -------
         int
             Offset of the landmark in the state.
         """
-        n = self.size
-        self.reserve(n + POINT)
-        mean, P, size = self.arrays
-        kernels.append(mean, P, n, landmark, np.concatenate([wrt_pose, noise], axis=1))
-        size[0] = n + POINT
+        n, size = self.size, len(landmark)
+        noise = wrt_value @ R @ wrt_value.T
+        if wrt_prior is not None and S is not None:
+            noise = noise + wrt_prior @ S @ wrt_prior.T
+        self.reserve(n + size)
+        mean, P, total = self.arrays
+        poses = np.array([POSE * robot])
+        G = np.ascontiguousarray(wrt_pose, dtype=float)[None]
+        kernels.append(mean, P, n, poses, np.asarray(landmark, dtype=float), size, G, noise)
+        total[0] = n + size
         return n
 
-    def remove(self, offset: int) -> None:
-        """Landmark deletion; landmarks behind it move up by two coordinates.
+    def replace(self, offset: int, landmark: Array, jacobian: Array) -> None:
+        """Put a function of a landmark in its place, such as a point for an inverse depth.
 
         Parameters
         ----------
         offset : int
             Of the landmark in the state.
+        landmark : (m,) ndarray
+            The new coordinates, no more than the old.
+        jacobian : (m, n) ndarray
+            Their derivative with respect to the old.
         """
-        n = self.size
-        if not POSE <= offset <= n - POINT or (offset - POSE) % POINT:
-            raise InputError(f"there is no landmark at offset {offset} of a state of {n}")
-        mean, P, size = self.arrays
-        kernels.remove(mean, P, n, offset, POINT)
-        size[0] = n - POINT
+        mean, P, total = self.arrays
+        new, old = jacobian.shape
+        self._check(offset, old)
+        kernels.replace(mean, P, self.size, offset, old, landmark, new, jacobian)
+        total[0] -= old - new
+
+    def remove(self, offset: int, size: int = POINT) -> None:
+        """Landmark deletion; landmarks behind it move up.
+
+        Parameters
+        ----------
+        offset : int
+            Of the landmark in the state.
+        size : int
+            Its coordinates.
+        """
+        self._check(offset, size)
+        mean, P, total = self.arrays
+        kernels.remove(mean, P, self.size, offset, size)
+        total[0] -= size
+
+    def _check(self, offset: int, size: int) -> None:
+        if not POSE * self.robots <= offset <= self.size - size:
+            raise InputError(
+                f"there is no landmark of {size} coordinates at offset {offset} "
+                f"of a state of {self.size}"
+            )

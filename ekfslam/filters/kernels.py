@@ -1,7 +1,7 @@
-"""The hot loops of EKF-SLAM on one triangle of the covariance.
+"""The four operations of the map on one triangle of the covariance (Solà, Table 1).
 
-State: pose (x, y, theta) first, then landmarks; a landmark is found by the offset of its first
-coordinate. Covariance: the upper triangle of a square array, ``P[i, j]`` with ``i <= j < n``;
+State: poses (x, y, theta) of the robots first, then landmarks; each is found by the offset of its
+first coordinate. Covariance: the upper triangle of a square array, ``P[i, j]`` with ``i <= j < n``;
 what lies below the diagonal is never read. So the covariance is symmetric by construction.
 
 Inner loops run over slices from their start: the compiler then knows that no index is negative,
@@ -15,7 +15,6 @@ import math
 import numpy as np
 
 from ekfslam.compiled import compiled
-from ekfslam.models.sensors import RANGE_BEARING
 
 
 @compiled
@@ -29,103 +28,53 @@ def wrap(angle: float) -> float:
     return max(wrapped, -math.pi)
 
 
-# Models ----------------------------------------------------------------------------------------
-
-
 @compiled
-def expect(kind, mount, pose, landmark, expected, H):  # type: ignore[no-untyped-def]
-    """Direct model with Jacobian (Solà, Eqs. 24 and 25), by the chain rule over three frames.
+def add_rows(P, n, at, size, weights, out):  # type: ignore[no-untyped-def]
+    """``out += weights' P[at : at + size, :n]``, O(n): what every operation reads of the triangle.
 
     Parameters
     ----------
-    kind : int
-        Code of the view.
-    mount : (3,) ndarray
-        Pose of the sensor on the body.
-    pose : (3,) ndarray
-    landmark : (2,) ndarray
-    expected : (2,) ndarray
-        Written: h(pose, landmark).
-    H : (2, 5) ndarray
-        Written: derivative with respect to (x, y, theta, landmark x, landmark y).
+    P : (capacity, capacity) ndarray
+    n : int
+        Dimension of the state.
+    at, size : int
+        First coordinate of a pose or landmark, and how many it has.
+    weights : (>= size,) ndarray
+    out : (>= n,) ndarray
+        Added to, up to n.
     """
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    dx, dy = landmark[0] - pose[0], landmark[1] - pose[1]
-    bx, by = c * dx + s * dy, c * dy - s * dx  # in the body
-    cm, sm = math.cos(mount[2]), math.sin(mount[2])
-    x = cm * (bx - mount[0]) + sm * (by - mount[1])  # in the sensor
-    y = cm * (by - mount[1]) - sm * (bx - mount[0])
-    ca, sa = c * cm - s * sm, s * cm + c * sm  # heading of the sensor in the world
-    # Turning the body turns the point the other way: d(bx, by) / d theta = (by, -bx).
-    xt, yt = cm * by - sm * bx, -cm * bx - sm * by
-    if kind == RANGE_BEARING:
-        r = math.sqrt(x * x + y * y)
-        expected[0], expected[1] = r, math.atan2(y, x)
-        d00, d01 = x / r, y / r
-        d10, d11 = -y / (r * r), x / (r * r)
+    stop = at + size
+    for j in range(at):  # above the diagonal its rows stand as columns
+        total = 0.0
+        for c in range(size):
+            total += weights[c] * P[j, at + c]
+        out[j] += total
+    for c in range(size):
+        for d in range(size):
+            out[at + d] += weights[c] * P[at + min(c, d), at + max(c, d)]
+    tail = out[stop:n]
+    if size == 2:
+        w0, w1 = weights[0], weights[1]
+        row0, row1 = P[at, stop:n], P[at + 1, stop:n]
+        for j in range(tail.size):
+            tail[j] += w0 * row0[j] + w1 * row1[j]
+    elif size == 3:
+        w0, w1, w2 = weights[0], weights[1], weights[2]
+        row0, row1, row2 = P[at, stop:n], P[at + 1, stop:n], P[at + 2, stop:n]
+        for j in range(tail.size):
+            tail[j] += w0 * row0[j] + w1 * row1[j] + w2 * row2[j]
     else:
-        expected[0], expected[1] = x, y
-        d00, d01, d10, d11 = 1.0, 0.0, 0.0, 1.0
-    H[0, 3], H[0, 4] = d00 * ca - d01 * sa, d00 * sa + d01 * ca
-    H[1, 3], H[1, 4] = d10 * ca - d11 * sa, d10 * sa + d11 * ca
-    H[0, 0], H[0, 1], H[0, 2] = -H[0, 3], -H[0, 4], d00 * xt + d01 * yt
-    H[1, 0], H[1, 1], H[1, 2] = -H[1, 3], -H[1, 4], d10 * xt + d11 * yt
+        for c in range(size):
+            row = P[at + c, stop:n]
+            for j in range(tail.size):
+                tail[j] += weights[c] * row[j]
+
+
+# Robot motion -----------------------------------------------------------------------------------
 
 
 @compiled
-def innovate(kind, value, expected, innovation):  # type: ignore[no-untyped-def]
-    """Innovation ``value - expected``, the bearing wrapped (Solà, Eq. 26)."""
-    innovation[0] = value[0] - expected[0]
-    innovation[1] = value[1] - expected[1]
-    if kind == RANGE_BEARING:
-        innovation[1] = wrap(innovation[1])
-
-
-@compiled
-def locate(kind, mount, pose, value, R, landmark, G):  # type: ignore[no-untyped-def]
-    """Inverse model with Jacobian and mapped noise (Solà, Eqs. 32 to 35).
-
-    Parameters
-    ----------
-    kind, mount, pose
-        As for `expect`.
-    value : (2,) ndarray
-        Measurement.
-    R : (2, 2) ndarray
-        Its noise.
-    landmark : (2,) ndarray
-        Written: g(pose, value).
-    G : (2, 5) ndarray
-        Written: derivative with respect to the pose, and then the mapped noise ``G_y R G_y'``.
-    """
-    if kind == RANGE_BEARING:
-        cb, sb = math.cos(value[1]), math.sin(value[1])
-        x, y = value[0] * cb, value[0] * sb
-        d00, d01, d10, d11 = cb, -y, sb, x
-    else:
-        x, y = value[0], value[1]
-        d00, d01, d10, d11 = 1.0, 0.0, 0.0, 1.0
-    cm, sm = math.cos(mount[2]), math.sin(mount[2])
-    bx, by = mount[0] + cm * x - sm * y, mount[1] + sm * x + cm * y
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    dx, dy = c * bx - s * by, s * bx + c * by
-    landmark[0], landmark[1] = pose[0] + dx, pose[1] + dy
-    G[0, 0], G[0, 1], G[0, 2] = 1.0, 0.0, -dy
-    G[1, 0], G[1, 1], G[1, 2] = 0.0, 1.0, dx
-    ca, sa = c * cm - s * sm, s * cm + c * sm
-    g00, g01 = ca * d00 - sa * d10, ca * d01 - sa * d11
-    g10, g11 = sa * d00 + ca * d10, sa * d01 + ca * d11
-    a0, a1 = g00 * R[0, 0] + g01 * R[1, 0], g00 * R[0, 1] + g01 * R[1, 1]
-    b0, b1 = g10 * R[0, 0] + g11 * R[1, 0], g10 * R[0, 1] + g11 * R[1, 1]
-    G[0, 3], G[1, 4] = a0 * g00 + a1 * g01, b0 * g10 + b1 * g11
-    G[0, 4] = G[1, 3] = a0 * g10 + a1 * g11
-
-
-# The four operations of the map (Solà, Table 1) -------------------------------------------------
-
-
-@compiled
-def move(mean, P, n, delta, Q):  # type: ignore[no-untyped-def]
+def move(mean, P, n, at, delta, Q):  # type: ignore[no-untyped-def]
     """Robot motion (Solà, Eqs. 14 to 17; Ciatto, Eqs. 3.1 to 3.6), O(n).
 
     Parameters
@@ -134,78 +83,75 @@ def move(mean, P, n, delta, Q):  # type: ignore[no-untyped-def]
     P : (capacity, capacity) ndarray
     n : int
         Dimension of the state.
+    at : int
+        First coordinate of the robot's pose.
     delta : (3,) ndarray
         Body increment.
     Q : (3, 3) ndarray
         Its covariance, in the frame of the pose before.
     """
-    c, s = math.cos(mean[2]), math.sin(mean[2])
+    x, y, t = at, at + 1, at + 2
+    c, s = math.cos(mean[t]), math.sin(mean[t])
     dx, dy = c * delta[0] - s * delta[1], s * delta[0] + c * delta[1]
-    mean[0] += dx
-    mean[1] += dy
-    mean[2] = wrap(mean[2] + delta[2])
+    mean[x] += dx
+    mean[y] += dy
+    mean[t] = wrap(mean[t] + delta[2])
     # F = [1 0 -dy; 0 1 dx; 0 0 1] on the pose rows, cross-covariances first.
-    px, py, pt = P[0, 3:n], P[1, 3:n], P[2, 3:n]
+    for j in range(at):
+        P[j, x] -= dy * P[j, t]
+        P[j, y] += dx * P[j, t]
+    px, py, pt = P[x, at + 3 : n], P[y, at + 3 : n], P[t, at + 3 : n]
     for j in range(pt.size):
         px[j] -= dy * pt[j]
         py[j] += dx * pt[j]
-    P[0, 0] += dy * (dy * P[2, 2] - 2.0 * P[0, 2])
-    P[0, 1] += dx * P[0, 2] - dy * P[1, 2] - dx * dy * P[2, 2]
-    P[1, 1] += dx * (dx * P[2, 2] + 2.0 * P[1, 2])
-    P[0, 2] -= dy * P[2, 2]
-    P[1, 2] += dx * P[2, 2]
+    P[x, x] += dy * (dy * P[t, t] - 2.0 * P[x, t])
+    P[x, y] += dx * P[x, t] - dy * P[y, t] - dx * dy * P[t, t]
+    P[y, y] += dx * (dx * P[t, t] + 2.0 * P[y, t])
+    P[x, t] -= dy * P[t, t]
+    P[y, t] += dx * P[t, t]
     # Plus the noise, turned into the world.
-    P[0, 0] += c * c * Q[0, 0] - 2.0 * c * s * Q[0, 1] + s * s * Q[1, 1]
-    P[0, 1] += c * s * (Q[0, 0] - Q[1, 1]) + (c * c - s * s) * Q[0, 1]
-    P[1, 1] += s * s * Q[0, 0] + 2.0 * c * s * Q[0, 1] + c * c * Q[1, 1]
-    P[0, 2] += c * Q[0, 2] - s * Q[1, 2]
-    P[1, 2] += s * Q[0, 2] + c * Q[1, 2]
-    P[2, 2] += Q[2, 2]
+    P[x, x] += c * c * Q[0, 0] - 2.0 * c * s * Q[0, 1] + s * s * Q[1, 1]
+    P[x, y] += c * s * (Q[0, 0] - Q[1, 1]) + (c * c - s * s) * Q[0, 1]
+    P[y, y] += s * s * Q[0, 0] + 2.0 * c * s * Q[0, 1] + c * c * Q[1, 1]
+    P[x, t] += c * Q[0, 2] - s * Q[1, 2]
+    P[y, t] += s * Q[0, 2] + c * Q[1, 2]
+    P[t, t] += Q[2, 2]
+
+
+# Map correction ---------------------------------------------------------------------------------
 
 
 @compiled
-def project(P, n, offset, H, rows):  # type: ignore[no-untyped-def]
-    """Rows of ``H P`` for one landmark: five rows of P enter (Solà, Eq. 28), O(n).
+def project(P, n, pose, at, size, H, d, rows):  # type: ignore[no-untyped-def]
+    """Rows of ``H P`` for one observation: few rows of P enter (Solà, Eq. 28), O(n).
 
     Parameters
     ----------
     P : (capacity, capacity) ndarray
     n : int
-    offset : int
-        Of the landmark in the state.
-    H : (2, 5) ndarray
-    rows : (2, capacity) ndarray
+    pose, at, size : int
+        First coordinates of the pose and of the target, and how many the target has.
+    H : (>= d, >= 3 + size) ndarray
+        With respect to (pose, target).
+    d : int
+        Rows of the observation.
+    rows : (d, >= n) ndarray
         Written, up to column n.
     """
-    for a in range(2):
-        h0, h1, h2, h3, h4 = H[a, 0], H[a, 1], H[a, 2], H[a, 3], H[a, 4]
-        row = rows[a, :n]
-        row[0] = h0 * P[0, 0] + h1 * P[0, 1] + h2 * P[0, 2]
-        row[1] = h0 * P[0, 1] + h1 * P[1, 1] + h2 * P[1, 2]
-        row[2] = h0 * P[0, 2] + h1 * P[1, 2] + h2 * P[2, 2]
-        out, px, py, pt = row[3:n], P[0, 3:n], P[1, 3:n], P[2, 3:n]
-        for j in range(out.size):
-            out[j] = h0 * px[j] + h1 * py[j] + h2 * pt[j]
-        for j in range(offset):  # above the landmark its rows stand as columns
-            row[j] += h3 * P[j, offset] + h4 * P[j, offset + 1]
-        row[offset] += h3 * P[offset, offset] + h4 * P[offset, offset + 1]
-        row[offset + 1] += h3 * P[offset, offset + 1] + h4 * P[offset + 1, offset + 1]
-        out = row[offset + 2 : n]
-        lx, ly = P[offset, offset + 2 : n], P[offset + 1, offset + 2 : n]
-        for j in range(out.size):
-            out[j] += h3 * lx[j] + h4 * ly[j]
+    for a in range(d):
+        out = rows[a]
+        out[:n] = 0.0
+        add_rows(P, n, pose, 3, H[a, :3], out)
+        add_rows(P, n, at, size, H[a, 3:], out)
 
 
 @compiled
-def times_transposed(row, offset, H, a):  # type: ignore[no-untyped-def]
-    """One entry of ``(H P) H'``: a row of H P with row a of a landmark's H."""
-    return (
-        row[0] * H[a, 0]
-        + row[1] * H[a, 1]
-        + row[2] * H[a, 2]
-        + row[offset] * H[a, 3]
-        + row[offset + 1] * H[a, 4]
-    )
+def times_transposed(row, pose, at, size, H, a):  # type: ignore[no-untyped-def]
+    """One entry of ``(H P) H'``: a row of H P with row a of an observation's H."""
+    total = row[pose] * H[a, 0] + row[pose + 1] * H[a, 1] + row[pose + 2] * H[a, 2]
+    for c in range(size):
+        total += row[at + c] * H[a, 3 + c]
+    return total
 
 
 @compiled
@@ -254,7 +200,7 @@ def downdate(P, W, m, n):  # type: ignore[no-untyped-def]
     ----------
     P : (capacity, capacity) ndarray
     W : (>= m, >= n) ndarray
-        m is even; rows enter four, then two at a time, to read and write P less often.
+        Rows enter four, then two at a time, to read and write P less often.
     """
     for i in range(n):
         row = P[i, i:n]
@@ -271,10 +217,15 @@ def downdate(P, W, m, n):  # type: ignore[no-untyped-def]
             for j in range(row.size):
                 row[j] -= a0 * w0[j] + a1 * w1[j]
             k += 2
+        if k < m:
+            last = W[k, i:n]
+            factor = last[0]
+            for j in range(row.size):
+                row[j] -= factor * last[j]
 
 
 @compiled
-def correct(mean, P, n, rows, S, innovation, m):  # type: ignore[no-untyped-def]
+def correct(mean, P, n, rows, S, innovation, m, robots):  # type: ignore[no-untyped-def]
     """Map correction (Solà, Eqs. 26 to 30; Ciatto, Eqs. 3.12 to 3.15), all rows at once.
 
     With S = L L', W = L^-1 H P and w = L^-1 innovation: K S K' = W' W and K innovation = W' w.
@@ -290,7 +241,9 @@ def correct(mean, P, n, rows, S, innovation, m):  # type: ignore[no-untyped-def]
     innovation : (>= m,) ndarray
         Destroyed.
     m : int
-        Rows, even.
+        Rows.
+    robots : int
+        Poses at the start of the state, whose headings are wrapped.
 
     Returns
     -------
@@ -311,37 +264,49 @@ def correct(mean, P, n, rows, S, innovation, m):  # type: ignore[no-untyped-def]
         row, factor = rows[i, :n], innovation[i]
         for j in range(row.size):
             mean[j] += factor * row[j]
-    mean[2] = wrap(mean[2])
+    for robot in range(robots):
+        mean[3 * robot + 2] = wrap(mean[3 * robot + 2])
     downdate(P, rows, m, n)
     return nis
 
 
+# Landmark initialization and deletion -----------------------------------------------------------
+
+
 @compiled
-def append(mean, P, n, landmark, G):  # type: ignore[no-untyped-def]
-    """Landmark initialization (Solà, Eqs. 35 to 38; Ciatto, 3.7): n grows by 2, O(n).
+def append(mean, P, n, poses, state, size, G, noise):  # type: ignore[no-untyped-def]
+    """Landmark initialization (Solà, Eqs. 35 to 38, 44, 45; Ciatto, 3.7), O(n); n grows by size.
 
     Parameters
     ----------
     mean, P, n
-        The map before, with room for two more.
-    landmark : (2,) ndarray
-        Position.
-    G : (2, 5) ndarray
-        Derivative with respect to the pose, and the noise of the landmark given the pose.
+        The map before, with room for `size` more.
+    poses : (p,) ndarray of int
+        First coordinates of the poses from which the landmark is seen: one, as a rule.
+    state : (>= size,) ndarray
+        Mean of the new coordinates.
+    size : int
+    G : (p, >= size, 3) ndarray
+        Their derivative with respect to each pose.
+    noise : (>= size, >= size) ndarray
+        Their covariance given the poses: ``G_y R G_y'`` and, of a partial observation,
+        ``G_s S G_s'``.
     """
-    mean[n], mean[n + 1] = landmark[0], landmark[1]
-    for a in range(2):
-        g0, g1, g2 = G[a, 0], G[a, 1], G[a, 2]
-        P[0, n + a] = g0 * P[0, 0] + g1 * P[0, 1] + g2 * P[0, 2]
-        P[1, n + a] = g0 * P[0, 1] + g1 * P[1, 1] + g2 * P[1, 2]
-        P[2, n + a] = g0 * P[0, 2] + g1 * P[1, 2] + g2 * P[2, 2]
-        for j in range(3, n):
-            P[j, n + a] = g0 * P[0, j] + g1 * P[1, j] + g2 * P[2, j]
-    for a in range(2):
-        for b in range(a, 2):
-            P[n + a, n + b] = (
-                G[a, 0] * P[0, n + b] + G[a, 1] * P[1, n + b] + G[a, 2] * P[2, n + b] + G[a, 3 + b]
-            )
+    row = np.empty(n)
+    for a in range(size):
+        mean[n + a] = state[a]
+        row[:] = 0.0
+        for k in range(poses.size):
+            add_rows(P, n, poses[k], 3, G[k, a], row)
+        for j in range(n):
+            P[j, n + a] = row[j]
+    for a in range(size):
+        for b in range(a, size):
+            total = noise[a, b]
+            for k in range(poses.size):
+                for c in range(3):
+                    total += G[k, a, c] * P[poses[k] + c, n + b]
+            P[n + a, n + b] = total
 
 
 @compiled
@@ -364,48 +329,34 @@ def remove(mean, P, n, offset, size):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def distances(mean, P, offsets, count, kind, mount, value, R, out):  # type: ignore[no-untyped-def]
-    """Squared Mahalanobis distance of one observation's innovation with each landmark.
+def replace(mean, P, n, at, size, state, new_size, J):  # type: ignore[no-untyped-def]
+    """Put a linear function of a landmark in its place, such as a point for an inverse depth.
 
     Parameters
     ----------
-    mean, P
-        The map.
-    offsets : (>= count,) ndarray of int
-        Of the landmarks in the state, -1 for none.
-    count : int
-    kind, mount, value, R
-        The observation.
-    out : (>= count,) ndarray
-        Written; infinite where there is no landmark.
+    mean, P, n
+        The map before; n falls by ``size - new_size``.
+    at, size : int
+        First coordinate of the landmark and how many it has.
+    state : (new_size,) ndarray
+        Mean of what takes its place.
+    new_size : int
+        At most `size`.
+    J : (new_size, size) ndarray
+        Derivative of the new coordinates with respect to the old.
     """
-    expected, innovation = np.empty(2), np.empty(2)
-    H = np.empty((2, 5))
-    local = np.empty((2, 5))
-    for index in range(count):
-        at = offsets[index]
-        out[index] = np.inf
-        if at < 0:
-            continue
-        expect(kind, mount, mean[:3], mean[at : at + 2], expected, H)
-        innovate(kind, value, expected, innovation)
-        for a in range(2):  # H P on the five coordinates that matter
-            for j in range(5):
-                column = j if j < 3 else at + j - 3
-                total = 0.0
-                for k in range(5):
-                    row = k if k < 3 else at + k - 3
-                    total += H[a, k] * (P[row, column] if row <= column else P[column, row])
-                local[a, j] = total
-        s00, s01, s11 = R[0, 0], R[0, 1], R[1, 1]
-        for j in range(5):
-            s00 += local[0, j] * H[0, j]
-            s01 += local[0, j] * H[1, j]
-            s11 += local[1, j] * H[1, j]
-        determinant = s00 * s11 - s01 * s01
-        if determinant > 0.0:
-            out[index] = (
-                s11 * innovation[0] * innovation[0]
-                - 2.0 * s01 * innovation[0] * innovation[1]
-                + s00 * innovation[1] * innovation[1]
-            ) / determinant
+    rows = np.zeros((new_size, n))
+    for a in range(new_size):
+        add_rows(P, n, at, size, J[a], rows[a])
+    for a in range(new_size):
+        mean[at + a] = state[a]
+        for j in range(at):
+            P[j, at + a] = rows[a, j]
+        for j in range(at + size, n):
+            P[at + a, j] = rows[a, j]
+        for b in range(a, new_size):
+            total = 0.0
+            for c in range(size):
+                total += rows[a, at + c] * J[b, c]
+            P[at + a, at + b] = total
+    remove(mean, P, n, at + new_size, size - new_size)

@@ -1,0 +1,272 @@
+"""What `Ekf` and `EkfSlam` share: the arrays of a filter, room for them, and the map at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ekfslam.association.assignment import global_nearest_neighbour
+from ekfslam.association.nearest import NEW as NEW_LANDMARK
+from ekfslam.dataset import Prior, Sightings
+from ekfslam.errors import UnsupportedError
+from ekfslam.estimates import LandmarkEstimates
+from ekfslam.filters.arrays import Bank, Journal, Log, Register, State, Tentative, Waiting
+from ekfslam.filters.ekf_slam import (
+    DONE,
+    GROW,
+    INDEFINITE,
+    LOOK,
+    PARTIAL,
+    end_of_look,
+    observe,
+    run,
+    use,
+)
+from ekfslam.filters.gaussian_map import GaussianMap
+from ekfslam.filters.measure import BANKED, INVERSE_DEPTH, POINT, POSE
+from ekfslam.filters.options import BANK, DELAYED, GLOBAL, JOINT, OF_POINTS, Options
+from ekfslam.filters.partial import see_to_partial
+from ekfslam.filters.recognition import (
+    Evidence,
+    decide_jointly,
+    gather,
+    recognise,
+    robots_seen,
+    settle,
+)
+from ekfslam.filters.upkeep import upkeep
+from ekfslam.filters.waiting import MOST
+from ekfslam.geometry import Array
+from ekfslam.models.sensors import BEARING, RANGE
+
+TENTATIVES = 256  # things that can be tentative at once
+CLONES = 128  # past poses that can be in the state at once
+LANDMARKS = 32  # room to begin with, where their number is not known
+
+
+class Engine:
+    """The filter's arrays and the compiled steps on them.
+
+    Parameters
+    ----------
+    priors : sequence of Prior
+        One for each robot.
+    options : Options
+    association : str
+        The method, decided.
+    kinds : set of int
+        Codes of the views that there will be.
+    landmarks : int
+        How many there can be at most, 0 for not known.
+
+    Raises
+    ------
+    UnsupportedError
+        If the options cannot work with such views.
+    """
+
+    def __init__(
+        self,
+        priors: Sequence[Prior],
+        options: Options,
+        association: str,
+        kinds: set[int],
+        landmarks: int = 0,
+    ) -> None:
+        settings = options.settings(association, kinds, landmarks, len(priors))
+        self.settings, self.association = settings, association
+        room = landmarks or LANDMARKS
+        self.slam = GaussianMap(priors, room * settings.largest // POINT)
+        self.register = Register.of(room)
+        ranges = RANGE in kinds
+        delayed = ranges and settings.ranges == DELAYED
+        self._tentative = Tentative.of(TENTATIVES if options.confirm > 1 else 0)
+        self._waiting = Waiting.of(MOST * max(room, 8), CLONES) if delayed else Waiting.of(0, 0)
+        banked = ranges and settings.ranges == BANK
+        self.bank = Bank.of(room if banked else 0, options.hypotheses)
+        self._clock = np.array([-1], dtype=np.int64)
+        self.searches_cut = 0  # for joint compatibility, at their limit
+        if options.initiation == "allocated":
+            self._allocate(landmarks, options.variance)
+
+    def _allocate(self, landmarks: int, variance: float) -> None:
+        """All landmarks stand in the state from the start, at 0 with a variance for infinity."""
+        if landmarks == 0:
+            raise UnsupportedError("initiation 'allocated' needs to know all identities beforehand")
+        none, noise = np.zeros((POINT, POSE)), variance * np.eye(POINT)
+        for index in range(landmarks):
+            at = self.slam.append(np.zeros(POINT), none, np.eye(POINT), noise)
+            self.register.offsets[index], self.register.sizes[index] = at, POINT
+        self.register.used[0] = landmarks
+
+    @property
+    def state(self) -> State:
+        """The arrays as compiled code takes them."""
+        return State(
+            self.slam.arrays, self.register, self._tentative, self._waiting, self.bank, self._clock
+        )
+
+    def make_room(self, rows: int) -> None:
+        """Enlarge what a step with so many observations could overflow."""
+        settings = self.settings
+        size = self.slam.size + settings.largest * rows + POSE * settings.robots
+        self.slam.reserve(min(size, settings.most))
+        self.register = self.register.grown(2 * (int(self.register.used[0]) + rows))
+        missing = len(self.register.offsets) - len(self.bank.offsets)
+        if self.settings.ranges == BANK and len(self.bank.offsets) and missing > 0:
+            more = Bank.of(missing, self.settings.hypotheses)
+            self.bank = Bank(*map(np.concatenate, zip(self.bank, more, strict=True)))
+
+    # Steps --------------------------------------------------------------------------------------
+
+    def run(
+        self,
+        start: int,
+        stop: int,
+        moves: Any,
+        offsets: np.ndarray,
+        sightings: Sightings,
+        log: Log,
+        journal: Journal,
+    ) -> tuple[int, int]:
+        """Steps from `start` to before `stop`; returns the step it came to, and how.
+
+        That is `DONE`, or `INDEFINITE` where an innovation covariance was not positive definite.
+        """
+        row = -1
+        while True:
+            arguments = sightings, self.state, self.settings, log, journal
+            start, row, why = run(start, row, stop, *moves, offsets, *arguments)
+            if why == GROW:
+                self.make_room(int(offsets[start + 1] - offsets[start]))
+            elif why in (LOOK, PARTIAL):
+                row = self._assist(
+                    why, sightings, row, int(offsets[start + 1]), start, log, journal
+                )
+            else:
+                return start, why
+            if row is None:
+                return start, INDEFINITE
+
+    def observe(self, sightings: Sightings, log: Log, journal: Journal) -> bool:
+        """All observations of one step; whether innovation covariances were positive definite."""
+        row: int | None = 0
+        last = len(sightings.values)
+        log.nis[0] = 0.0
+        while row is not None:
+            state, settings = self.state, self.settings
+            row, why = observe(state, sightings, row, last, 0, settings, log, journal)
+            if why not in (LOOK, PARTIAL):
+                return bool(why == DONE)
+            row = self._assist(why, sightings, row, last, 0, log, journal)
+        return False
+
+    def _assist(
+        self,
+        why: int,
+        sightings: Sightings,
+        first: int,
+        last: int,
+        k: int,
+        log: Log,
+        journal: Journal,
+    ) -> int | None:
+        """See to the look at a row; returns where to go on, or None if it could not be used."""
+        state, settings = self.state, self.settings
+        until = end_of_look(sightings, first, last) if settings.scan else first + 1
+        look = state, sightings, first, until
+        if why == LOOK:
+            if settings.method in (GLOBAL, JOINT):
+                robots_seen(sightings, first, until, log)
+                evidence = gather(*look, settings)
+                choice = self._assign(sightings, evidence)
+                settle(state, sightings, evidence, choice, settings, log)
+            else:
+                recognise(*look, settings, log)
+            why = use(*look, k, settings, log, journal)
+            if why == INDEFINITE:
+                return None
+        if why == PARTIAL:
+            see_to_partial(*look, settings, log, journal)
+        if settings.corrupt or settings.forget or settings.descriptor_variance:
+            upkeep(*look, settings, log)
+        return until
+
+    def _assign(self, sightings: Sightings, evidence: Evidence) -> np.ndarray:
+        """Decide on all observations of a look together."""
+        if self.settings.method == GLOBAL:
+            return global_nearest_neighbour(evidence.distances, evidence.accept, evidence.new)
+        choice = np.full(len(evidence.rows), NEW_LANDMARK)
+        if not decide_jointly(self.state, sightings, evidence, self.settings, choice):
+            self.searches_cut += 1
+        return choice
+
+    # The map ------------------------------------------------------------------------------------
+
+    def landmarks(self, ids: np.ndarray) -> tuple[LandmarkEstimates, Array]:
+        """The map, and the joint covariance of poses and map.
+
+        Parameters
+        ----------
+        ids : (n,) ndarray of int
+            Identity of each register index.
+        """
+        register, count = self.register, len(ids)
+        mapped = (register.offsets[:count] >= 0) & (register.sightings[:count] > 0)
+        points = np.flatnonzero(mapped & (register.sizes[:count] == POINT))
+        directions = np.flatnonzero(mapped & (register.sizes[:count] == INVERSE_DEPTH))
+        where = register.offsets[points][:, None] + np.arange(POINT)
+        beyond = register.offsets[directions][:, None] + np.arange(INVERSE_DEPTH)
+        poses = POSE * self.settings.robots
+        order = np.concatenate([np.arange(poses), where.reshape(-1), beyond.reshape(-1)])
+        mean, joint = self.slam.mean, self.slam.covariance[np.ix_(order, order)]
+        end = poses + where.size
+        blocks = joint[poses:end, poses:end].reshape(len(points), POINT, len(points), POINT)
+        return LandmarkEstimates(
+            ids[points],
+            mean[where].reshape(-1, POINT),
+            np.ascontiguousarray(np.einsum("iaib->iab", blocks)),
+            joint[poses:end, poses:end],
+            ids[directions] if len(directions) else None,
+            mean[beyond] if len(directions) else None,
+        ), joint
+
+    @property
+    def undetermined(self) -> int:
+        """Landmarks that are seen but not yet points: directions, hypotheses, waiting ranges."""
+        used = int(self.register.used[0])
+        sizes = self.register.sizes[:used]
+        waits = np.unique(self._waiting.index[self._waiting.row >= 0])
+        return int(np.isin(sizes, [INVERSE_DEPTH, BANKED]).sum()) + len(waits)
+
+
+def check_views(options: Options, association: str, kinds: set[int], nearest: float) -> None:
+    """Refuse what cannot work with the views of a dataset.
+
+    Parameters
+    ----------
+    options : Options
+    association : str
+    kinds : set of int
+        Codes of the views.
+    nearest : float
+        Least minimum range of the sensors of bearings [m].
+
+    Raises
+    ------
+    UnsupportedError
+        Says what to do.
+    """
+    partial = kinds & {BEARING, RANGE}
+    if partial and association in OF_POINTS:
+        raise UnsupportedError(f"association {association!r} needs sensors that determine a point")
+    if RANGE in kinds and association != "known":
+        raise UnsupportedError("ranges alone need association 'known'")
+    if partial and options.confirm > 1:
+        raise UnsupportedError("confirm needs sensors that determine a point")
+    if BEARING in kinds and options.bearings == "inverse-depth" and not nearest > 0:
+        raise UnsupportedError(
+            "the prior on the inverse depth of a bearing needs the sensor's min_range: state it"
+        )

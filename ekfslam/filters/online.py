@@ -1,0 +1,175 @@
+"""EKF-SLAM step by step, with the same numbers as over a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ekfslam.checks import check_finite, checked_array, checked_covariance
+from ekfslam.dataset import Prior, Sightings
+from ekfslam.errors import InputError
+from ekfslam.estimates import Decision, Innovations, LandmarkEstimates
+from ekfslam.filters.arrays import Journal, Log
+from ekfslam.filters.ekf_slam import predict
+from ekfslam.filters.engine import Engine, check_views
+from ekfslam.filters.measure import POSE
+from ekfslam.filters.options import Options
+from ekfslam.filters.upkeep import delete
+from ekfslam.geometry import Array
+from ekfslam.models.sensors import BEARING, VIEWS
+
+
+class EkfSlam:
+    """The filter of `ekfslam.filters.ekf.Ekf`, step by step, for online use.
+
+    Parameters
+    ----------
+    prior : Prior or sequence of Prior
+        Of the first pose, of each robot if there are several; the default is exactly the origin.
+    association : str
+        "known", or a method for observations that come without identities.
+    **options
+        As for `ekfslam.filters.options.Options`.
+
+    Examples
+    --------
+    >>> import ekfslam
+    >>> data = ekfslam.simulate("loop-15", seed=1)
+    >>> slam = ekfslam.EkfSlam(prior=data.prior)
+    >>> for step in data.steps():
+    ...     slam.predict(step.increment, step.covariance)
+    ...     _ = slam.observe(step.observations)
+    """
+
+    def __init__(
+        self,
+        prior: Prior | Sequence[Prior] | None = None,
+        association: str = "known",
+        **options: Any,
+    ) -> None:
+        priors = [prior or Prior()] if prior is None or isinstance(prior, Prior) else list(prior)
+        if not priors or not all(isinstance(each, Prior) for each in priors):
+            raise InputError(f"prior must be a Prior(mean, covariance), got {prior!r}")
+        try:
+            self._options = Options(association, **options)
+        except TypeError as error:
+            raise InputError(f"EkfSlam: {error}") from None
+        kinds = {view.code for view in VIEWS.values()}
+        self._engine = Engine(priors, self._options, association, kinds)
+        self._ids: dict[int, int] = {}
+        self._step = -1
+
+    def predict(self, increment: Any, covariance: Any) -> None:
+        """Move the robot, or all of them.
+
+        Parameters
+        ----------
+        increment : (3,) or (R, 3) array_like
+            Body increment in the frame of the pose before [m, m, rad]; one row for each robot if
+            there are several.
+        covariance : (3, 3) or (R, 3, 3) array_like
+            Of the increment, in that frame.
+
+        Raises
+        ------
+        InputError
+            For values that are not finite, or no covariance.
+        """
+        robots = self._engine.settings.robots
+        shape: tuple[int, ...] = (3,) if robots == 1 else (robots, 3)
+        delta = checked_array(increment, float, shape, "increment")
+        check_finite(delta, "increment")
+        given = checked_array(covariance, float, (*shape, 3), "covariance of the increment")
+        Q = [
+            checked_covariance(each, 3, "covariance of the increment")
+            for each in given.reshape(-1, 3, 3)
+        ]
+        self._step += 1
+        predict(self._engine.state, self._step, delta.reshape(-1, 3).copy(), np.array(Q))
+
+    def observe(self, observations: Sightings) -> Innovations:
+        """Associate, correct and extend with the observations of one step.
+
+        Parameters
+        ----------
+        observations : Sightings
+            For instance ``Sightings.of(sensor, values, landmark)``.
+
+        Returns
+        -------
+        Innovations
+            What each observation met.
+
+        Raises
+        ------
+        InputError
+            If a column makes no sense, or the innovation covariance is not positive definite; what
+            was seen before that look has then been used.
+        UnsupportedError
+            For views that the options cannot work with.
+        """
+        if not isinstance(observations, Sightings):
+            raise InputError("observations must be Sightings, such as Sightings.of(sensor, values)")
+        seen = observations.checked()
+        robots = self._engine.settings.robots
+        if (seen.robot >= robots).any() or (seen.target >= robots).any():
+            raise InputError(f"observations name a robot that there is not: there are {robots}")
+        bearings = seen.limits[seen.kind == BEARING, 0]
+        nearest = float(bearings.min(initial=np.inf))
+        check_views(self._options, self._engine.association, set(seen.kind.tolist()), nearest)
+        count = len(seen.values)
+        codes = [
+            self._ids.setdefault(int(i), len(self._ids)) if i >= 0 else -1
+            for i in seen.landmark.tolist()
+        ]
+        self._engine.make_room(max(count, len(self._ids)))
+        seen = seen._replace(landmark=np.array(codes, dtype=np.int64))
+        log = Log.of(1, 1, count, int(Decision.REJECTED))
+        if not self._engine.observe(seen, log, Journal.of(0)):
+            raise InputError("the innovation covariance is not positive definite; check the noise")
+        names = np.append(self._names(), -1)
+        return Innovations(log.decision, names[log.landmark], log.innovation, log.S)
+
+    def delete(self, landmark: int) -> None:
+        """Take a landmark out of the map (Solà, Table 1); seen again, it starts anew.
+
+        Parameters
+        ----------
+        landmark : int
+            Its identity, as `landmarks` lists it.
+
+        Raises
+        ------
+        InputError
+            If there is no such landmark.
+        """
+        ids = self._names()
+        index = np.flatnonzero(ids == landmark)
+        if not len(index) or self._engine.register.offsets[index[0]] < 0:
+            raise InputError(f"there is no landmark {landmark} in the map")
+        delete(self._engine.state, int(index[0]))
+
+    @property
+    def pose(self) -> Array:
+        """Estimated pose (3,), or poses (R, 3) of several robots."""
+        robots = self._engine.settings.robots
+        poses = self._engine.slam.mean[: POSE * robots].reshape(robots, POSE).copy()
+        return poses[0] if robots == 1 else poses
+
+    @property
+    def pose_covariance(self) -> Array:
+        """Its covariance, additive: (3, 3), or jointly of all robots (3 R, 3 R)."""
+        return self._engine.slam.block(0, POSE * self._engine.settings.robots)
+
+    @property
+    def landmarks(self) -> LandmarkEstimates:
+        """The map so far, with its joint covariance."""
+        return self._engine.landmarks(self._names())[0]
+
+    def _names(self) -> np.ndarray:
+        """Identity of each index of the register."""
+        if self._engine.association != "known":
+            return np.arange(int(self._engine.register.used[0]))
+        return np.array(list(self._ids), dtype=np.int64)

@@ -1,0 +1,443 @@
+"""Recognition: who is seen (Ciatto, 3.6), from innovations at the state that the look begins with.
+
+The decisions themselves are in `ekfslam.association` and know no filter; here is what they decide
+on, and what follows from what they decided.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ekfslam.association.descriptors import descriptor_distance
+from ekfslam.association.joint import joint_compatibility
+from ekfslam.association.nearest import (
+    AMBIGUOUS,
+    first_within,
+    maximum_likelihood,
+    nearest_neighbour,
+    nearest_within,
+    smallest_distance,
+)
+from ekfslam.compiled import compiled
+from ekfslam.estimates import Decision
+from ekfslam.filters.measure import BANKED, POINT, expect, innovate, locate, rows_of
+from ekfslam.filters.options import (
+    ALLOCATED,
+    EUCLIDEAN,
+    EUCLIDEAN_FIRST,
+    KNOWN,
+    MAHALANOBIS_FIRST,
+    MAXIMUM_LIKELIHOOD,
+    NEAREST,
+    SMALLEST_DISTANCE,
+)
+from ekfslam.filters.upkeep import feasible
+from ekfslam.geometry import Array
+
+ACCEPTED, NEW = int(Decision.ACCEPTED), int(Decision.NEW)
+REJECTED, UNSURE = int(Decision.REJECTED), int(Decision.AMBIGUOUS)
+TENTATIVE = int(Decision.TENTATIVE)
+
+
+class Evidence(NamedTuple):
+    """What a decision is made on: m observations of a look, C landmarks that may be visible.
+
+    Attributes
+    ----------
+    candidates : (C,) ndarray of int
+        Register indices, in the order of the map.
+    rows : (m,) ndarray of int
+        Observations.
+    distances, logdets : (m, C) ndarray
+        Squared Mahalanobis distance of each innovation, and log det S.
+    points : (m, C) ndarray
+        Distance of the back-projected point [m], or in sigmas of the landmark, unsquared; only for
+        the methods that ask for it.
+    accept, new : (m,) ndarray
+        Gates.
+    expected : (C, 2), H : (C, 2, 7) ndarray
+        Expected measurement of each candidate, and its Jacobian.
+    """
+
+    candidates: np.ndarray
+    rows: np.ndarray
+    distances: Array
+    logdets: Array
+    points: Array
+    accept: Array
+    new: Array
+    expected: Array
+    H: Array
+
+
+@compiled
+def entry(P, i, j):  # type: ignore[no-untyped-def]
+    """One entry of the covariance."""
+    return P[i, j] if i <= j else P[j, i]
+
+
+@compiled
+def cross(P, pose, at, size, H, other, other_size, G, d, out):  # type: ignore[no-untyped-def]
+    """``H P G'`` of two observations from one pose, (d, d): only the coordinates that matter.
+
+    Parameters
+    ----------
+    P : (capacity, capacity) ndarray
+    pose, at, other : int
+        First coordinates of the pose and of the two targets.
+    size, other_size : int
+    H, G : (2, 7) ndarray
+    d : int
+    out : (>= d, >= d) ndarray
+        Written.
+    """
+    out[:d, :d] = 0.0
+    for j in range(3 + other_size):
+        column = pose + j if j < 3 else other + j - 3
+        for a in range(d):
+            total = 0.0
+            for i in range(3 + size):
+                row = pose + i if i < 3 else at + i - 3
+                total += H[a, i] * entry(P, row, column)
+            for b in range(d):
+                out[a, b] += total * G[b, j]
+
+
+# Identities known from outside -------------------------------------------------------------------
+
+
+@compiled
+def by_identity(state, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
+    """Take the identities of the data."""
+    register = state.register
+    for i in range(first, last):
+        index = sightings.landmark[i]
+        log.landmark[i] = index
+        if sightings.target[i] >= 0:
+            log.decision[i] = ACCEPTED
+            continue
+        if index < 0:
+            log.decision[i] = REJECTED  # association is known, and this one has no identity
+            continue
+        register.used[0] = max(register.used[0], index + 1)
+        mapped = register.offsets[index] >= 0
+        if settings.initiation == ALLOCATED and register.sightings[index] == 0:
+            mapped = False
+        log.decision[i] = ACCEPTED if mapped or register.sizes[index] == BANKED else NEW
+
+
+@compiled
+def recognise(state, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
+    """Who is seen in a look: identities that pass the gate, or what the method decides."""
+    if settings.method == KNOWN:
+        by_identity(state, sightings, first, last, settings, log)
+        for i in range(first, last):
+            index = log.landmark[i]
+            if log.decision[i] == ACCEPTED and index >= 0 and settings.known[1] > 0.0:
+                verify(state, sightings, i, settings, log)
+        return
+    robots_seen(sightings, first, last, log)
+    evidence = gather(state, sightings, first, last, settings)
+    choice = np.empty(evidence.rows.size, np.int64)
+    decide(evidence, settings, choice)
+    settle(state, sightings, evidence, choice, settings, log)
+
+
+@compiled
+def verify(state, sightings, i, settings, log):  # type: ignore[no-untyped-def]
+    """Individual compatibility (Solà, C.3) of a sighting whose identity is known."""
+    slam, register = state.slam, state.register
+    index, kind, pose = log.landmark[i], sightings.kind[i], 3 * sightings.robot[i]
+    if register.offsets[index] < 0:  # a bank weighs for itself
+        return
+    at, size, d = register.offsets[index], register.sizes[index], rows_of(kind)
+    expected, H, S = np.empty(2), np.empty((2, 7)), np.empty((2, 2))
+    here, there = slam.mean[pose : pose + 3], slam.mean[at : at + size]
+    if not expect(kind, size, sightings.mount[i], here, there, expected, H):
+        log.decision[i] = REJECTED
+        return
+    innovate(kind, sightings.values[i], expected, log.innovation[i])
+    cross(slam.covariance, pose, at, size, H, at, size, H, d, S)
+    distance, _ = against(log.innovation[i], S, sightings.covariance[i], d)
+    log.S[i, :d, :d] = S[:d, :d] + sightings.covariance[i, :d, :d]
+    if not distance <= settings.known[d]:
+        log.decision[i] = REJECTED
+
+
+@compiled
+def against(innovation, E, R, d):  # type: ignore[no-untyped-def]
+    """Squared Mahalanobis distance of an innovation in S = E + R, and log det S; inf if not."""
+    if d == 1:
+        s = E[0, 0] + R[0, 0]
+        if not s > 0.0:
+            return np.inf, np.inf
+        return innovation[0] * innovation[0] / s, math.log(s)
+    s00, s01, s11 = E[0, 0] + R[0, 0], E[0, 1] + R[0, 1], E[1, 1] + R[1, 1]
+    determinant = s00 * s11 - s01 * s01
+    if not determinant > 0.0:
+        return np.inf, np.inf
+    a, b = innovation[0], innovation[1]
+    squared = (s11 * a * a - 2.0 * s01 * a * b + s00 * b * b) / determinant
+    return squared, math.log(determinant)
+
+
+# Identities found --------------------------------------------------------------------------------
+
+
+@compiled
+def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-def]
+    """Evidence of a look: candidates, and distances of every observation with each."""
+    register, mean, P = state.register, state.slam.mean, state.slam.covariance
+    robot, mount, kind = sightings.robot[first], sightings.mount[first], sightings.kind[first]
+    pose, d, limits = 3 * robot, rows_of(kind), sightings.limits[first]
+    rows = np.empty(last - first, np.int64)
+    m, noise = 0, 0.0
+    for i in range(first, last):
+        if sightings.target[i] < 0:
+            rows[m] = i
+            m += 1
+            noise = max(noise, spread(kind, sightings.values[i], sightings.covariance[i]))
+    rows = rows[:m]
+    candidates = np.empty(register.used[0], np.int64)
+    count = 0
+    for index in range(register.used[0]):
+        if register.offsets[index] >= 0 and feasible(state, robot, mount, limits, noise, index):
+            candidates[count] = index
+            count += 1
+    candidates = candidates[:count]
+    distances, logdets = np.full((m, count), np.inf), np.zeros((m, count))
+    points = np.full((m if uses_points(settings.method) else 0, count), np.inf)
+    accept, new = np.empty(m), np.empty(m)
+    expected, H = np.empty((count, 2)), np.empty((count, 2, 7))
+    E, innovation = np.empty((2, 2)), np.empty(2)
+    described = settings.descriptor_variance > 0.0
+    for k in range(m):
+        more = 1 if described and not np.isnan(sightings.descriptor[rows[k]]) else 0
+        accept[k], new[k] = settings.accept[d + more], settings.new[d + more]
+    for j in range(count):
+        index = candidates[j]
+        at, size = register.offsets[index], register.sizes[index]
+        there = mean[at : at + size]
+        if not expect(kind, size, mount, mean[pose : pose + 3], there, expected[j], H[j]):
+            continue
+        cross(P, pose, at, size, H[j], at, size, H[j], d, E)
+        for k in range(m):
+            i = rows[k]
+            innovate(kind, sightings.values[i], expected[j], innovation)
+            distances[k, j], logdets[k, j] = against(innovation, E, sightings.covariance[i], d)
+            if described:
+                known = register.descriptor[index]
+                distances[k, j] += descriptor_distance(
+                    sightings.descriptor[i],
+                    known[0] if known[1] > 0 else np.nan,
+                    settings.descriptor_variance * (1.0 + 1.0 / max(known[1], 1.0)),
+                )
+    if points.shape[0] > 0:
+        back_projected(state, sightings, rows, candidates, settings, points)
+    return Evidence(candidates, rows, distances, logdets, points, accept, new, expected, H)
+
+
+@compiled
+def uses_points(method):  # type: ignore[no-untyped-def]
+    """Whether a method compares back-projected points."""
+    return method in (EUCLIDEAN, EUCLIDEAN_FIRST, MAHALANOBIS_FIRST)
+
+
+@compiled
+def spread(kind, value, R):  # type: ignore[no-untyped-def]
+    """Standard deviation of a sighting as a length [m], for the margin of what may be visible."""
+    across = 0.0
+    if rows_of(kind) == 2:
+        across = R[1, 1] * (value[0] * value[0] if kind == 0 else 1.0)
+        return math.sqrt(R[0, 0] + across)
+    return math.sqrt(R[0, 0]) if kind == 3 else 0.0
+
+
+@compiled
+def back_projected(state, sightings, rows, candidates, settings, points):  # type: ignore[no-untyped-def]
+    """Distances of the back-projected point: Euclidean, or in the landmark's own covariance.
+
+    Ciatto, 3.6: the uncertainty of the robot and of the measurement is left out.
+    """
+    register, mean, P = state.register, state.slam.mean, state.slam.covariance
+    where, G, noise = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
+    apart = np.empty(2)
+    for k in range(rows.size):
+        i = rows[k]
+        pose = 3 * sightings.robot[i]
+        locate(
+            sightings.kind[i],
+            sightings.mount[i],
+            mean[pose : pose + 3],
+            sightings.values[i],
+            sightings.covariance[i],
+            where,
+            G,
+            noise,
+        )
+        for j in range(candidates.size):
+            at = register.offsets[candidates[j]]
+            apart[0], apart[1] = where[0] - mean[at], where[1] - mean[at + 1]
+            if settings.method == MAHALANOBIS_FIRST:
+                noise[:] = 0.0
+                squared, _ = against(apart, P[at : at + 2, at : at + 2], noise, 2)
+                points[k, j] = math.sqrt(squared)
+            else:
+                points[k, j] = math.sqrt(apart[0] * apart[0] + apart[1] * apart[1])
+
+
+@compiled
+def decide(evidence, settings, choice):  # type: ignore[no-untyped-def]
+    """Ask the method for its decision; the global ones are asked from Python instead."""
+    distances, accept, new = evidence.distances, evidence.accept, evidence.new
+    if settings.method == NEAREST:
+        nearest_neighbour(distances, accept, new, choice)
+    elif settings.method == EUCLIDEAN:
+        nearest_within(evidence.points, settings.threshold, choice)
+    elif settings.method in (EUCLIDEAN_FIRST, MAHALANOBIS_FIRST):
+        first_within(evidence.points, settings.threshold, choice)
+    elif settings.method == SMALLEST_DISTANCE:
+        smallest_distance(distances, settings.threshold, choice)
+    elif settings.method == MAXIMUM_LIKELIHOOD:
+        maximum_likelihood(distances, evidence.logdets, accept, new, choice)
+
+
+@compiled
+def decide_jointly(state, sightings, evidence, settings, choice):  # type: ignore[no-untyped-def]
+    """Lay out the individually compatible pairs, and search (Neira and Tardós 2001).
+
+    Returns whether the search was complete.
+    """
+    register, P = state.register, state.slam.covariance
+    distances, candidates, rows = evidence.distances, evidence.candidates, evidence.rows
+    m = rows.size
+    if m == 0:
+        return True
+    kind, pose = sightings.kind[rows[0]], 3 * sightings.robot[rows[0]]
+    d = rows_of(kind)
+    pairs = 0
+    for k in range(m):
+        for j in range(candidates.size):
+            pairs += distances[k, j] <= evidence.accept[k]
+    row, column = np.empty(pairs, np.int64), np.empty(pairs, np.int64)
+    innovations = np.zeros(2 * pairs)
+    pairs = 0
+    for k in range(m):
+        for j in range(candidates.size):
+            if distances[k, j] <= evidence.accept[k]:
+                row[pairs], column[pairs] = k, j
+                value = sightings.values[rows[k]]
+                at = innovations[2 * pairs : 2 * pairs + 2]
+                innovate(kind, value, evidence.expected[j], at)
+                pairs += 1
+    joint, block = np.zeros((2 * pairs, 2 * pairs)), np.empty((2, 2))
+    for p in range(pairs):
+        one = candidates[column[p]]
+        for q in range(p + 1):
+            two = candidates[column[q]]
+            cross(
+                P,
+                pose,
+                register.offsets[one],
+                register.sizes[one],
+                evidence.H[column[p]],
+                register.offsets[two],
+                register.sizes[two],
+                evidence.H[column[q]],
+                d,
+                block,
+            )
+            for a in range(d):
+                for b in range(d):
+                    joint[2 * p + a, 2 * q + b] = joint[2 * q + b, 2 * p + a] = block[a, b]
+    noise = np.empty((m, 2, 2))
+    for k in range(m):
+        noise[k] = sightings.covariance[rows[k]]
+    return joint_compatibility(
+        row,
+        column,
+        innovations,
+        np.full(pairs, d),
+        joint,
+        noise,
+        distances,
+        evidence.accept,
+        evidence.new,
+        settings.compatible,
+        settings.limit,
+        choice,
+    )
+
+
+@compiled
+def settle(state, sightings, evidence, choice, settings, log):  # type: ignore[no-untyped-def]
+    """Write the decisions of a look down; what is new gets an index, or stays tentative."""
+    register = state.register
+    for k in range(evidence.rows.size):
+        i = evidence.rows[k]
+        if choice[k] >= 0:
+            log.decision[i], log.landmark[i] = ACCEPTED, evidence.candidates[choice[k]]
+        elif choice[k] == AMBIGUOUS:
+            log.decision[i], log.landmark[i] = UNSURE, -1
+        elif settings.confirm > 1 and not confirmed(state, sightings, i, settings):
+            log.decision[i], log.landmark[i] = TENTATIVE, -1
+        else:
+            log.decision[i], log.landmark[i] = NEW, register.used[0]
+            register.used[0] += 1
+
+
+@compiled
+def robots_seen(sightings, first, last, log):  # type: ignore[no-untyped-def]
+    """Sightings of robots know whom they show."""
+    for i in range(first, last):
+        if sightings.target[i] >= 0:
+            log.decision[i], log.landmark[i] = ACCEPTED, -1
+
+
+@compiled
+def confirmed(state, sightings, i, settings):  # type: ignore[no-untyped-def]
+    """Whether a new thing has now been seen often enough; if not, it is kept in mind.
+
+    A sighting belongs to the nearest tentative thing inside the gate of `accept`, in the sum of
+    both covariances: they share the robot's uncertainty, so this is cautious. Only the last
+    sighting, the one that confirms, makes the landmark.
+    """
+    mean, P = state.slam.mean, state.slam.covariance
+    things, now = state.tentative, state.clock[0]
+    pose = 3 * sightings.robot[i]
+    where, G, noise = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
+    here, mount = mean[pose : pose + 3], sightings.mount[i]
+    value, R = sightings.values[i], sightings.covariance[i]
+    locate(sightings.kind[i], mount, here, value, R, where, G, noise)
+    for a in range(POINT):
+        for b in range(POINT):
+            for j in range(3):
+                for k in range(3):
+                    noise[a, b] += G[a, j] * entry(P, pose + j, pose + k) * G[b, k]
+    apart = np.empty(2)
+    best, nearest, free = -1, settings.accept[2], -1
+    for t in range(things.count.size):
+        if things.count[t] > 0 and now - things.born[t] >= settings.within:
+            things.count[t] = 0  # not seen often enough in time
+        if things.count[t] == 0:
+            free = t if free < 0 else free
+            continue
+        apart[0], apart[1] = where[0] - things.position[t, 0], where[1] - things.position[t, 1]
+        squared, _ = against(apart, things.covariance[t], noise, POINT)
+        if squared <= nearest and things.seen[t] != now:  # once a step
+            best, nearest = t, squared
+    if best < 0:
+        if free >= 0:
+            things.count[free], things.born[free], things.seen[free] = 1, now, now
+            things.position[free], things.covariance[free] = where, noise
+        return False
+    things.count[best] += 1
+    things.seen[best] = now
+    things.position[best], things.covariance[best] = where, noise
+    if things.count[best] < settings.confirm:
+        return False
+    things.count[best] = 0
+    return True
