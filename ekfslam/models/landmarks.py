@@ -364,14 +364,18 @@ def _mirrored(frames, x, y):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _as_gaussian(kinds, frames, values, variances, x, y, cost, xx, xy, yy):  # type: ignore[no-untyped-def]
-    """Whether the cost rises along the worst axis as the covariance (xx, xy, yy) says."""
+def _as_gaussian(kinds, frames, values, variances, x, y, xx, xy, yy, excess):  # type: ignore[no-untyped-def]
+    """Whether the cost rises along the worst axis as the covariance (xx, xy, yy) says.
+
+    It rises by the excess of the residuals faster.
+    """
+    cost = _normal(kinds, frames, values, variances, x, y)[0]
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
     c, s = math.cos(angle), math.sin(angle)
     reach = 3.0 * math.sqrt(max(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0))
     for side in (-reach, reach):
         there = _normal(kinds, frames, values, variances, x + side * c, y + side * s)
-        if not 9.0 / GAUSSIAN < there[0] - cost < 9.0 * GAUSSIAN:
+        if not 9.0 / GAUSSIAN < (there[0] - cost) / excess < 9.0 * GAUSSIAN:
             return False
     return True
 
@@ -428,13 +432,14 @@ def fix(kinds, frames, values, variances):  # type: ignore[no-untyped-def]
     minima, best = _minima(kinds, frames, values, variances)
     if len(minima) == 0:
         return nothing
-    x, y, cost, ixx, ixy, iyy = minima[best]  # the last three: information
+    x, y, cost, ixx, ixy, iyy = minima[best]  # with the information, the inverse covariance
     determinant = ixx * iyy - ixy * ixy
     if not determinant > 1e-12 * (ixx + iyy) ** 2:
         return nothing
     freedom = max(used - 2, 1)
     excess = cost / freedom if cost > freedom + 4.0 * math.sqrt(2.0 * freedom) else 1.0
-    xx, xy, yy = iyy / determinant, -ixy / determinant, ixx / determinant
+    scale = excess / determinant
+    xx, xy, yy = scale * iyy, -scale * ixy, scale * ixx
     rival = math.inf
     for k in range(len(minima)):
         dx, dy = minima[k, 0] - x, minima[k, 1] - y
@@ -444,7 +449,7 @@ def fix(kinds, frames, values, variances):  # type: ignore[no-untyped-def]
     worst = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
     determined = (
         rival - cost > RIVAL * excess
-        and excess * worst < (SHARE * nearest) ** 2
-        and _as_gaussian(kinds, frames, values, variances, x, y, cost, xx, xy, yy)
+        and worst < (SHARE * nearest) ** 2
+        and _as_gaussian(kinds, frames, values, variances, x, y, xx, xy, yy, excess)
     )
-    return determined, x, y, excess * xx, excess * xy, excess * yy
+    return determined, x, y, xx, xy, yy
