@@ -1,6 +1,5 @@
 """Who was taken for whom: by hand, and against a sequential account of the same definitions."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -176,6 +175,14 @@ def test_the_first_of_the_delayed_founds_and_the_others_are_used_by_it(story):
     assert rows(scores.mapped) == [2, 3]
 
 
+def test_what_is_not_kept_for_a_landmark_that_waits_is_not_missed():
+    """Before it is determined there is nothing in the map to recognise."""
+    scores = scored([3, 3, 3, 3, 3, 3], "D0 R D0 N0 R A0")
+    assert rows(scores.correct) == [2, 3, 5]
+    assert rows(scores.missed) == [4]
+    assert scores.recall == 3 / 4
+
+
 def test_a_delay_after_a_use_is_another_founding():
     scores = scored([3, 3, 3, 5, 5, 5], "D0 N0 A0 D0 N0 A0", in_map=[0])
     assert rows(scores.founded) == [0, 3]
@@ -298,13 +305,15 @@ class Ledger:
                 self.lives.append(life)
             life["rows"].append(row)
         for life in self.lives:
+            kept = [row for row in life["rows"] if self.words[row][0] in "ND"]
+            life["entry"] = max(kept, default=-1)
             life["lasting"] = current[str(life["id"])] is life and life["id"] in in_map
         self.origin = origin
 
     def mapped(self, row):
         return self.origin[row] >= 0 and any(
             life["whom"] == self.origin[row]
-            and life["founder"] < row
+            and life["entry"] < row
             and (life["lasting"] or row <= life["rows"][-1])
             for life in self.lives
         )
@@ -325,7 +334,9 @@ class Ledger:
                 if true >= 0 and true not in took:
                     took.append(true)
                     found["merging"] += [row] * (len(took) == 2)
-        found["mapped"] = [row for row in range(len(self.words)) if self.mapped(row)]
+        found["mapped"] = [
+            row for row in range(len(self.words)) if self.mapped(row) or row in found["correct"]
+        ]
         return {name: sorted(rows) for name, rows in found.items()}
 
     def counts(self):

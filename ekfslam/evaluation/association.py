@@ -6,9 +6,10 @@ true landmark that was seen in the observation that founded it: the `NEW` one, o
 that were `DELAYED` until it was determined. One that clutter founded stands for nothing. A landmark
 that no observation founded was in a map given in advance and stands for the one it is there.
 
-A landmark is in the map from its founding to the end if the final map holds it (determined or not),
-else to the last observation that was used for it: the record does not say when it was deleted. A
-founding under an identity that was used before begins another life.
+A landmark is in the map from its founding, or the last delayed observation of it, to the end if the
+final map holds it (determined or not), else to the last observation that was used for it: the
+record does not say when it was deleted. A founding under an identity that was used before begins
+another life.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ class AssociationScores(NamedTuple):
     correct : ndarray
         Accepted, by a landmark that stands for its true landmark.
     mapped : ndarray
-        Its true landmark was in the map: some landmark stood for it, founded by an earlier row.
+        Its true landmark was in the map: some landmark stood for it, put there by an earlier row.
+        What was rightly kept for a landmark that was delayed counts, too.
     spurious : ndarray
         Clutter that founded a landmark.
     merging : ndarray
@@ -108,14 +110,15 @@ def association_scores(dataset: Dataset, estimate: Estimate) -> AssociationScore
     founded[lives.founder[lives.founder >= 0]] = True
     accepted = (lives.of_row >= 0) & ~founded
     whom = np.append(lives.whom, NO_LANDMARK)[lives.of_row]
+    correct = accepted & (whom == origin) & (origin >= 0)
     merging = np.zeros(len(origin), dtype=bool)
     merging[_merging(lives.of_row, origin)] = True
     return AssociationScores(
         scored,
         founded,
         accepted,
-        accepted & (whom == origin) & (origin >= 0),
-        scored & _mapped(lives, origin),
+        correct,
+        correct | (scored & _mapped(lives, origin)),
         founded & (origin < 0),
         merging,
     )
@@ -196,6 +199,7 @@ class _Lives(NamedTuple):
 
     whom: np.ndarray  # true landmark that it stands for, -1 for none
     founder: np.ndarray  # row that founded it, -1 for a map given in advance
+    entry: np.ndarray  # row that put it into the map, later than the founder if that was delayed
     last: np.ndarray  # last row at which it is in the map; M for one of the final map
     lasting: np.ndarray  # whether the final map holds it
     of_row: np.ndarray  # (M,) life that each observation was used for, -1 for none
@@ -215,6 +219,7 @@ def _lives(dataset: Dataset, estimate: Estimate, origin: np.ndarray) -> _Lives:
     of_row = np.full(count, -1)
     of_row[rows] = np.cumsum(begins) - 1
     landmark, founder = ids[first], np.where(founding[first], rows[first], _NO_ROW)
+    entry = np.maximum.reduceat(np.where(founding, rows, _NO_ROW), first)
     last = rows[np.append(first[1:], len(rows))[: len(first)] - 1]
     # The final map holds the last life of a landmark, and landmarks that no observation was of.
     lasting = np.append(np.diff(landmark) != 0, True)[: len(landmark)]
@@ -222,13 +227,12 @@ def _lives(dataset: Dataset, estimate: Estimate, origin: np.ndarray) -> _Lives:
         in_map = map_ids(estimate.landmarks)
         lasting &= np.isin(landmark, in_map)
         never = np.setdiff1d(in_map, landmark)
-        landmark = np.append(landmark, never)
-        founder = np.append(founder, np.full(len(never), _NO_ROW))
-        last = np.append(last, np.full(len(never), count))
+        nobody = np.full(len(never), _NO_ROW)
+        landmark, last = np.append(landmark, never), np.append(last, nobody)
+        founder, entry = np.append(founder, nobody), np.append(entry, nobody)
         lasting = np.append(lasting, np.ones(len(never), dtype=bool))
-    last = np.where(lasting, count, last)
     whom = _whom(dataset, estimate, landmark, founder, origin)
-    return _Lives(whom, founder, last, lasting, of_row)
+    return _Lives(whom, founder, entry, np.where(lasting, count, last), lasting, of_row)
 
 
 def _whom(
@@ -254,7 +258,7 @@ def _mapped(lives: _Lives, origin: np.ndarray) -> np.ndarray:
     true, which = np.unique(origin, return_inverse=True)
     alive = np.isin(lives.whom, true) & (lives.whom >= 0)
     block = np.searchsorted(true, lives.whom[alive]) * (len(origin) + 2)
-    starts = np.sort(block + lives.founder[alive] + 1)
+    starts = np.sort(block + lives.entry[alive] + 1)
     ends = np.sort(block + lives.last[alive] + 1)
     now = which * (len(origin) + 2) + np.arange(len(origin))
     before = [np.searchsorted(keys, now, side="right") for keys in (starts, ends)]
