@@ -53,6 +53,9 @@ number of steps at the same times::
     [robots.motion]               # as [motion] above
     [robots.prior]                # as [prior] above
 
+A hand-held sensor has a path of kind ``unguided``, which says how many steps, a motion of kind
+``none``, whose sigmas are those of the perturbation (x, y, heading), and ``noise_on = "motion"``.
+
 Numbers are in SI units and radians; a string such as ``"3 deg"`` stands for an angle in degrees.
 Wherever a ``covariance`` is asked for, standard deviations ``sigmas`` may be given instead; a
 covariance itself takes no degrees.
