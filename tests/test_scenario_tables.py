@@ -299,7 +299,7 @@ def test_descriptions_say_what_is_special():
         "cloister-bearing": ["; bearing;"],
         "team": ["3 robots", "range-bearing of landmarks and robots", "steps over 60 m"],
         "two-sensors": ["range-bearing every 3 steps and bearing every 2 steps"],
-        "hand-held": ["400 steps;", "none motion", "noise on the motion"],
+        "hand-held": ["400 steps;", "unguided motion", "noise on the motion"],
         "orchard": ["clutter 0.3 per look", "association unknown"],
     }
     for name, parts in words.items():

@@ -267,11 +267,12 @@ class Scenario:
         plans = self.robot_plans
         lengths = " and ".join(dict.fromkeys(f"{plan.length:.0f}" for plan in plans))
         guided = any(plan.motion.control_names for plan in plans)
+        motions = [p.motion.kind if p.motion.control_names else "unguided" for p in plans]
         facts = [
             f"{len(self.landmarks)} landmarks",
             f"{len(plans)} robots" if self.team else "",
             f"{len(self.controls)} steps" + (f" over {lengths} m" if guided else ""),
-            " and ".join(dict.fromkeys(plan.motion.kind for plan in plans)) + " motion",
+            " and ".join(dict.fromkeys(motions)) + " motion",
             " and ".join(map(_in_words, self.sensor_plans)) or "no sensor",
             f"noise on the {self.noise_on}",
             f"clutter {self.clutter:g} per look" if self.clutter else "",
