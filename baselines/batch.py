@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import re
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import gtsam
 import numpy as np
 
+from baselines import keys
+from baselines.association import Association
+from baselines.entry import all_at_once, notes, rows_of
 from baselines.landmark_graph import (
     ODOMETRY_FLOOR,
-    Association,
     LandmarkGraph,
-    key_name,
-    landmark_key,
     point_covariances,
     pose_covariances,
-    pose_key,
 )
+from baselines.noise import chosen
 from ekfslam.dataset import Dataset
+from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
 from ekfslam.registry import Progress, estimator_name, resolve
 
@@ -30,6 +32,8 @@ class GtsamBatch:
     """GTSAM's Levenberg-Marquardt, started from an online estimate.
 
     Started from dead reckoning it is no baseline: on Victoria Park it stops in a local minimum.
+    Landmarks seen by bearings or ranges alone are in the graph if all their sightings together,
+    from the poses of the start, determine them (`ekfslam.models.landmarks.fix`).
 
     Parameters
     ----------
@@ -42,6 +46,17 @@ class GtsamBatch:
         Whether to recover the covariances of all poses and landmarks.
     odometry_floor : float
         See `baselines.landmark_graph.LandmarkGraph`.
+    robust : {"huber", "cauchy", "dcs"}, optional
+        Loss of the sightings of landmarks, against wrong identities and other outliers. The error
+        of the graph is then the sum of the losses, and covariances count each sighting as much as
+        it weighs in the end.
+    robust_scale : float, optional
+        Of the loss; by default the customary one, see `baselines.noise.KERNELS`.
+
+    Raises
+    ------
+    UnknownNameError, InputError
+        For a loss that is not there.
     """
 
     initial: Any = "ekf"
@@ -49,7 +64,12 @@ class GtsamBatch:
     max_iterations: int = 100
     marginals: bool = True
     odometry_floor: float = ODOMETRY_FLOOR
+    robust: str | None = None
+    robust_scale: float | None = None
     name = "gtsam-batch"
+
+    def __post_init__(self) -> None:
+        chosen(self.robust, self.robust_scale)
 
     def estimate(self, dataset: Dataset, progress: Progress | None = None) -> Estimate:
         """Smooth a dataset.
@@ -76,17 +96,23 @@ class GtsamBatch:
         first = source if isinstance(source, Estimate) else source.estimate(dataset)
         named = first.association in ("", "known")  # else it names landmarks as it finds them
         association = Association.known(dataset) if named else Association.of(first)
-        problem = LandmarkGraph(dataset, association, self.odometry_floor)
+        kernel = chosen(self.robust, self.robust_scale)
+        problem = LandmarkGraph(dataset, association, self.odometry_floor, kernel)
         common: dict[str, Any] = {
             "estimator": self.name,
             "dataset": dataset.name,
             "association": association.name,
-            "options": {**asdict(self), "initial": _name(self.initial)},
+            "options": asdict(replace(self, initial=_name(self.initial))),
         }
         if first.final_trajectory is None or not np.isfinite(first.final_trajectory.poses).all():
             text = f"the start, {_name(self.initial)}, is not finite"
             return Estimate(**common, status=FAILED, message=text)
-        graph, start = problem.graph(), problem.values(first)
+        if first.landmarks is None:
+            raise UnsupportedError(f"{first.estimator} offers nothing to start from")
+        poses = np.reshape(first.final_trajectory.poses, (len(dataset.robots), dataset.poses, 3))
+        entry, positions = all_at_once(problem, poses, first.landmarks)
+        rows = rows_of(problem, entry)
+        graph, start = problem.graph(rows), problem.values(poses, positions, rows)
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setRelativeErrorTol(self.relative_tolerance)
         parameters.setAbsoluteErrorTol(0.0)
@@ -94,46 +120,61 @@ class GtsamBatch:
         try:
             optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters)
             values = optimizer.optimize()
-            poses, positions = problem.poses_of(values), problem.positions_of(values)
+            poses, (ids, points) = problem.poses_of(values), problem.map_of(values)
             error, iterations = graph.error(values), optimizer.iterations()
             time_total = time.perf_counter() - started
             covariances = blocks = None
             started = time.perf_counter()
             if self.marginals:
-                covariances, blocks = recovered(problem, graph, values, poses, progress)
+                marginal = gtsam.Marginals(graph, values).marginalCovariance
+                covariances, blocks = recovered(marginal, poses, ids, progress)
+                covariances = problem.by_robot(covariances)
         except RuntimeError as failure:
             return Estimate(**common, status=FAILED, message=in_words(failure))
-        notes = [f"{iterations} iterations from {_name(self.initial)}", *problem.notes]
+        said = [f"{iterations} iterations from {_name(self.initial)}", *problem.notes]
         if iterations >= self.max_iterations:
-            notes.insert(0, "stopped at the limit of iterations")
+            said.insert(0, "stopped at the limit of iterations")
         return Estimate(
             **common,
-            innovations=association.record(),
-            smoothed=Trajectory(poses, covariances),
-            landmarks=LandmarkEstimates(problem.landmarks, positions, blocks),
+            innovations=association.record(entry),
+            smoothed=Trajectory(problem.by_robot(poses), covariances),
+            landmarks=LandmarkEstimates(ids, points, blocks),
             time_total=time_total,
             time_marginals=time.perf_counter() - started,
             graph_error=error,
-            graph_dof=problem.dof,
-            message="; ".join(notes),
+            graph_dof=problem.dof(rows),
+            message="; ".join(said + notes(problem, entry)),
         )
 
 
 def recovered(
-    problem: LandmarkGraph,
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
+    marginal: Callable[[int], np.ndarray],
     poses: np.ndarray,
+    ids: np.ndarray,
     progress: Progress | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Marginal covariances of all poses (K + 1, 3, 3) and landmarks (L, 2, 2) of a solution."""
-    marginals = gtsam.Marginals(graph, values)
+    """Marginal covariances of poses and landmarks of a solution.
+
+    Parameters
+    ----------
+    marginal : callable
+        gtsam's covariance of a key.
+    poses : (R, K + 1, 3) ndarray
+    ids : (L,) ndarray of int
+    progress : callable, optional
+
+    Returns
+    -------
+    (R, K + 1, 3, 3) ndarray, (L, 2, 2) ndarray
+    """
+    robots, steps = poses.shape[:2]
     blocks = []
-    for k in range(len(poses)):
-        blocks.append(marginals.marginalCovariance(pose_key(k)))
-        if progress is not None and k % 100 == 0:
-            progress(k, len(poses))
-    points = [marginals.marginalCovariance(landmark_key(i)) for i in problem.landmarks.tolist()]
+    for robot in range(robots):
+        for k in range(steps):
+            blocks.append(marginal(keys.pose_key(k, robot)))
+            if progress is not None and k % 100 == 0:
+                progress(robot * steps + k, robots * steps)
+    points = [marginal(keys.landmark_key(i)) for i in ids.tolist()]
     return pose_covariances(poses, blocks), point_covariances(points)
 
 
@@ -143,7 +184,7 @@ def in_words(failure: RuntimeError) -> str:
     variable = re.search(r"near variable (\d+)", text)
     if variable is None:
         return text
-    return f"indeterminate system near {key_name(int(variable[1]))}"
+    return f"indeterminate system near {keys.key_name(int(variable[1]))}"
 
 
 def ready(source: Any) -> Any:

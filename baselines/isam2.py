@@ -9,24 +9,24 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from baselines.batch import in_words, ready
-from baselines.landmark_graph import (
-    ODOMETRY_FLOOR,
-    Association,
-    LandmarkGraph,
-    landmark_key,
-    point_covariances,
-    pose_covariances,
-    pose_key,
-)
+from baselines import keys
+from baselines.association import Association
+from baselines.batch import in_words, ready, recovered
+from baselines.entry import Entrance, notes, rows_of
+from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph, pose_covariances
+from baselines.noise import chosen
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
+from ekfslam.geometry import Array
 from ekfslam.registry import Progress
 
 
 @dataclass(frozen=True)
 class GtsamIsam2:
     """GTSAM's iSAM2, updated once per step.
+
+    Landmarks seen by bearings or ranges alone enter at the step at which their sightings so far,
+    from the poses as they are known then, determine them (`ekfslam.models.landmarks.fix`).
 
     Parameters
     ----------
@@ -42,6 +42,15 @@ class GtsamIsam2:
         Whose association to take where the dataset has none.
     odometry_floor : float
         See `baselines.landmark_graph.LandmarkGraph`.
+    robust : {"huber", "cauchy", "dcs"}, optional
+        Loss of the sightings of landmarks, see `baselines.batch.GtsamBatch`.
+    robust_scale : float, optional
+        Of the loss; by default the customary one.
+
+    Raises
+    ------
+    UnknownNameError, InputError
+        For a loss that is not there.
     """
 
     relinearize_threshold: float = 0.1
@@ -50,7 +59,12 @@ class GtsamIsam2:
     marginals: bool = True
     association: Any = "ekf"
     odometry_floor: float = ODOMETRY_FLOOR
+    robust: str | None = None
+    robust_scale: float | None = None
     name = "gtsam-isam2"
+
+    def __post_init__(self) -> None:
+        chosen(self.robust, self.robust_scale)
 
     def estimate(self, dataset: Dataset, progress: Progress | None = None) -> Estimate:
         """Smooth a dataset step by step.
@@ -78,13 +92,13 @@ class GtsamIsam2:
             association = Association.known(dataset)
         else:
             association = Association.of(source.estimate(dataset))
-        problem = LandmarkGraph(dataset, association, self.odometry_floor)
+        kernel = chosen(self.robust, self.robust_scale)
+        problem = LandmarkGraph(dataset, association, self.odometry_floor, kernel)
         estimate = Estimate(
             estimator=self.name,
             dataset=dataset.name,
             association=association.name,
-            innovations=association.record(),
-            options=asdict(self) | {"association": str(self.association)},
+            options=asdict(replace(self, association=str(self.association))),
         )
         try:
             return self._run(problem, estimate, started, progress)
@@ -102,74 +116,93 @@ class GtsamIsam2:
         parameters.setRelinearizeThreshold(self.relinearize_threshold)
         parameters.relinearizeSkip = self.relinearize_skip
         isam = gtsam.ISAM2(parameters)
-        dataset = problem.dataset
-        steps = dataset.poses
-        deltas = [gtsam.Pose2(*delta) for delta in dataset.robot.increments.deltas.tolist()]
-        newcomers = _newcomers(problem)
-        online = np.empty((steps, 3))
-        blocks: list[np.ndarray] = []
+        dataset, entrance = problem.dataset, Entrance(problem)
+        robots, steps = range(len(dataset.robots)), dataset.poses
+        moves = [[gtsam.Pose2(*move) for move in chain] for chain in dataset.moves.deltas.tolist()]
+        bounds, used = np.searchsorted(problem.rows, dataset.offsets), problem.rows.tolist()
+        now = _Now(isam, dataset)
+        online = np.empty((len(robots), steps, 3))
+        blocks: list[list[Array]] = [[] for _ in robots]
         seconds = np.empty(steps)
         spent = 0.0  # on covariances
-        pose = gtsam.Pose2(*dataset.prior.mean)
+        poses = [gtsam.Pose2(*robot.prior.mean) for robot in dataset.robots]
         for k in range(steps):
             begin = time.perf_counter()
-            if k > 0:
-                pose = pose.compose(deltas[k - 1])
-            graph = gtsam.NonlinearFactorGraph()
-            for factor in problem.step(k):
+            poses = [pose.compose(chain[k]) for pose, chain in zip(poses, moves, strict=True)]
+            now.predicted(k, poses)
+            rows, newcomers = entrance.arrive(used[bounds[k] : bounds[k + 1]], now.poses_at)
+            fresh = [key for key in problem.auxiliaries(rows) if not isam.valueExists(key)]
+            graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+            for factor in problem.motions(k):
                 graph.add(factor)
-            online[k] = pose.x(), pose.y(), pose.theta()  # predicted: where the step starts
-            fresh = [(i, pose.transformFrom(point)) for i, point in newcomers.get(k, ())]
-            isam.update(graph, problem.values_of_step(k, online[k], fresh))
-            pose = isam.calculateEstimatePose2(pose_key(k))
-            online[k] = pose.x(), pose.y(), pose.theta()
+            for factor in problem.seen(rows, (landmark for landmark, _ in newcomers), fresh):
+                graph.add(factor)
+            for robot in robots:
+                values.insert(keys.pose_key(k, robot), poses[robot])
+            problem.insert(values, now.poses, newcomers, fresh)
+            isam.update(graph, values)
+            poses = [isam.calculateEstimatePose2(keys.pose_key(k, robot)) for robot in robots]
+            online[:, k] = [(pose.x(), pose.y(), pose.theta()) for pose in poses]
             seconds[k] = time.perf_counter() - begin
             if self.marginals:
                 begin = time.perf_counter()
-                blocks.append(isam.marginalCovariance(pose_key(k)))
+                for robot in robots:
+                    blocks[robot].append(isam.marginalCovariance(keys.pose_key(k, robot)))
                 spent += time.perf_counter() - begin
             if progress is not None and k % 50 == 0:
                 progress(k, steps)
         for _ in range(self.final_updates):
             isam.update()
         values = isam.calculateEstimate()
-        poses, positions = problem.poses_of(values), problem.positions_of(values)
+        smoothed, (ids, points) = problem.poses_of(values), problem.map_of(values)
         time_total = time.perf_counter() - started - spent
         begin = time.perf_counter()
         online_covariances = covariances = point_blocks = None
         if self.marginals:
-            online_covariances = pose_covariances(online, blocks)
-            final = [isam.marginalCovariance(pose_key(k)) for k in range(steps)]
-            covariances = pose_covariances(poses, final)
-            point_blocks = point_covariances(
-                isam.marginalCovariance(landmark_key(i)) for i in problem.landmarks.tolist()
-            )
+            online_covariances = problem.by_robot(pose_covariances(online, blocks))
+            covariances, point_blocks = recovered(isam.marginalCovariance, smoothed, ids)
+            covariances = problem.by_robot(covariances)
         spent += time.perf_counter() - begin
+        rows = rows_of(problem, entrance.entry)
         return replace(
             estimate,
-            online=Trajectory(online, online_covariances),
-            smoothed=Trajectory(poses, covariances),
-            landmarks=LandmarkEstimates(problem.landmarks, positions, point_blocks),
+            online=Trajectory(problem.by_robot(online), online_covariances),
+            smoothed=Trajectory(problem.by_robot(smoothed), covariances),
+            landmarks=LandmarkEstimates(ids, points, point_blocks),
+            innovations=problem.association.record(entrance.entry),
             step_seconds=seconds,
             time_total=time_total,
             time_marginals=spent,
-            graph_error=problem.graph().error(values),
-            graph_dof=problem.dof,
-            message="; ".join(problem.notes),
+            graph_error=problem.graph(rows).error(values),
+            graph_dof=problem.dof(rows),
+            message="; ".join(problem.notes + notes(problem, entrance.entry)),
         )
 
 
-def _newcomers(problem: LandmarkGraph) -> dict[int, list[tuple[int, np.ndarray]]]:
-    """Landmarks first seen at each step, with their position in the body frame."""
-    dataset = problem.dataset
-    landmark = problem.association.landmark
-    used = np.flatnonzero(landmark >= 0)
-    _, first = np.unique(landmark[used], return_index=True)
-    newcomers: dict[int, list[tuple[int, np.ndarray]]] = {}
-    observations = dataset.observations
-    for row in np.sort(used[first]).tolist():
-        sensor = dataset.sensors[int(observations.sensor[row])]
-        point = sensor.locate(np.zeros(3), observations.values[row])[0]
-        step = int(observations.step[row])
-        newcomers.setdefault(step, []).append((int(landmark[row]), point))
-    return newcomers
+class _Now:
+    """Poses as iSAM2 knows them at the step at hand; earlier ones are read when asked for.
+
+    Attributes
+    ----------
+    poses : (R, K + 1, 3) ndarray
+        As last read.
+    """
+
+    def __init__(self, isam: gtsam.ISAM2, dataset: Dataset) -> None:
+        self._isam, self._observations = isam, dataset.observations
+        self._fresh: set[tuple[int, int]] = set()
+        self.poses = np.zeros((len(dataset.robots), dataset.poses, 3))
+
+    def predicted(self, k: int, poses: list[gtsam.Pose2]) -> None:
+        """Go on to step k, to which the odometry leads."""
+        self._fresh = {(robot, k) for robot in range(len(poses))}
+        self.poses[:, k] = [(pose.x(), pose.y(), pose.theta()) for pose in poses]
+
+    def poses_at(self, rows: list[int]) -> Array:
+        """Poses (n, 3) from which some observations were made."""
+        robot, step = self._observations.robot[rows], self._observations.step[rows]
+        for place in set(zip(robot.tolist(), step.tolist(), strict=True)) - self._fresh:
+            pose = self._isam.calculateEstimatePose2(keys.pose_key(place[1], place[0]))
+            self.poses[place] = pose.x(), pose.y(), pose.theta()
+            self._fresh.add(place)
+        return self.poses[robot, step]

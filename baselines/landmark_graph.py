@@ -2,13 +2,18 @@
 
 Factors are gtsam's own, without a Python callback:
 
-- prior: `PriorFactorPose2`, constrained where the start is exactly known;
+- prior of each robot: `PriorFactorPose2`, constrained where the start is exactly known;
 - motion: `BetweenFactorPose2`, whose noise lives in the frame of the *second* pose: the increment's
   covariance is rotated by R(dtheta)';
-- range and bearing: `BearingRangeFactor2D` (order bearing, range). A mount's heading adds to the
-  bearing; a displaced sensor gets a pose of its own, tied to the robot's by a constrained factor;
+- range and bearing: `BearingRangeFactor2D` (order bearing, range), `BearingFactor2D`,
+  `RangeFactor2D`, which may share a landmark. A mount's heading adds to the bearing; a displaced
+  sensor that reports a bearing gets a pose of its own, tied to the robot's by a constrained factor,
+  and for a range alone `RangeFactorWithTransform2D` takes the mount;
 - x and y: `PlanarProjectionFactor2`. A pinhole camera that looks straight down on landmarks at
-  depth 1 reports exactly their position in its frame, and it takes the mount.
+  depth 1 reports exactly their position in its frame, and it takes the mount;
+- robots that see robots: the same with `Pose2` in the place of the landmark. In x and y the camera
+  looks at a point of its own near the seen robot, with a part of the noise, equal along all axes,
+  between robot and point and the rest between point and camera: their sum, whatever the headings.
 
 gtsam's tangent of `Pose2` is that of the body, and its errors of prior and motion are
 ``Log(measured^-1 actual)``: equal to the filters' additive errors to first order in the error of
@@ -17,333 +22,354 @@ the heading. Covariances are rotated into the package's additive convention on t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import gtsam
 import numpy as np
 from gtsam import noiseModel
 
+from baselines import keys
+from baselines.association import Association
+from baselines.noise import Kernel, floored, models
 from ekfslam import geometry as geo
-from ekfslam.dataset import Dataset
+from ekfslam.dataset import Dataset, Prior
 from ekfslam.errors import UnsupportedError
-from ekfslam.estimates import Decision, Estimate, Innovations
 from ekfslam.geometry import Array
-from ekfslam.models.sensors import XY
+from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING, XY
+from ekfslam.observations import Sightings
 
 ODOMETRY_FLOOR = 1e-4  # [m] and [rad]; at 1e-6 the system is indeterminate to gtsam
 PRIOR_FLOOR = 1e-6
-DEPTH_SIGMA = 1e-6  # [m]; moves a point at 10 m by 1e-5 of its smallest sigma here or less
-
-POSE_KEY = gtsam.symbol("x", 0)
-LANDMARK_KEY = gtsam.symbol("l", 0)
-SENSOR_KEY = gtsam.symbol("s", 0)
 PINHOLE = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # unit focal length, no distortion
+# Depth is held at 1, to 1e-6 m (which moves a point at 10 m by 1e-5 of its smallest sigma here or
+# less); x and y are left alone (1e9 m is no information). A constraint would do the same, but
+# gtsam's marginals of a partly constrained variable are wrong.
+DEPTH = noiseModel.Diagonal.Sigmas(np.array([1e9, 1e9, 1e-6]))
+TIE = noiseModel.Constrained.All(3)
+# Share of the least variance of an xy sighting of a robot that is between robot and point. In
+# covariances a larger one would show as a knowledge of the robot's heading that is not there.
+NEAR = 1e-3
 
-
-def pose_key(step: int) -> int:
-    """Key of a pose."""
-    return POSE_KEY + step
-
-
-def landmark_key(landmark: int) -> int:
-    """Key of a landmark."""
-    return LANDMARK_KEY + landmark
-
-
-def key_name(key: int) -> str:
-    """A variable in words, for messages."""
-    symbol = gtsam.Symbol(key)
-    kind = {"x": "pose", "l": "landmark", "s": "sensor pose"}.get(chr(symbol.chr()), "variable")
-    return f"{kind} {symbol.index()}"
-
-
-@dataclass(frozen=True)
-class Association:
-    """Which landmark each observation belongs to, for the graph.
-
-    Attributes
-    ----------
-    landmark : (M,) ndarray of int
-        Identity, -1 for an observation that is not used.
-    name : str
-        "known", or the method of the estimate that decided.
-    """
-
-    landmark: np.ndarray
-    name: str
-
-    @classmethod
-    def known(cls, dataset: Dataset) -> Association:
-        """Identities of the dataset."""
-        return cls(dataset.sightings.landmark, "known")
-
-    def record(self) -> Innovations:
-        """What a smoother made of each observation: it decides, but it has no innovations."""
-        count = len(self.landmark)
-        _, first = np.unique(self.landmark, return_index=True)
-        decision = np.full(count, Decision.ACCEPTED, dtype=np.int64)
-        decision[first] = Decision.NEW
-        decision[self.landmark < 0] = Decision.REJECTED
-        return Innovations(
-            decision, self.landmark, np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
-        )
-
-    @classmethod
-    def of(cls, estimate: Estimate) -> Association:
-        """Decisions of an online estimate: what it accepted, and what it started landmarks with."""
-        if estimate.innovations is None:
-            raise UnsupportedError(f"{estimate.estimator} made no associations")
-        innovations = estimate.innovations
-        used = np.isin(innovations.decision, [Decision.ACCEPTED, Decision.NEW])
-        return cls(np.where(used, innovations.landmark, -1), estimate.association)
+# Factors of a landmark's sightings, and of a robot's.
+FACTORS: tuple[dict[int, Any], dict[int, Any]] = (
+    {
+        RANGE_BEARING: gtsam.BearingRangeFactor2D,
+        BEARING: gtsam.BearingFactor2D,
+        RANGE: gtsam.RangeFactor2D,
+    },
+    {
+        RANGE_BEARING: gtsam.BearingRangeFactorPose2,
+        BEARING: gtsam.BearingFactorPose2,
+        RANGE: gtsam.RangeFactorPose2,
+    },
+)
+DISPLACED_RANGE = gtsam.RangeFactorWithTransform2D, gtsam.RangeFactorWithTransformPose2
+MEASURED = {RANGE_BEARING: slice(2), BEARING: slice(1), RANGE: slice(1, 2)}  # of both
 
 
 class LandmarkGraph:
-    """Factors of a dataset, step by step or all at once.
+    """Factors and variables of a dataset.
+
+    Rows are those of the dataset's observations. What the sightings need besides poses and
+    landmarks (poses of displaced sensors, points on robots) is called auxiliary.
 
     Parameters
     ----------
     dataset : Dataset
-        With one robot. A landmark may be seen by sensors of one kind only.
+        A landmark may be seen by several kinds of sensors, but xy only by itself.
     association : Association
     odometry_floor : float
         Smallest standard deviation of a motion along any direction [m, rad]: two control noises
         without slip make its covariance singular, which gtsam cannot use.
+    kernel : Kernel, optional
+        Robust loss of the sightings of landmarks.
 
     Raises
     ------
     UnsupportedError
-        If range-bearing and xy sightings are mixed: gtsam has no factors that share a landmark.
+        If xy sightings of landmarks and others are mixed: gtsam has no factors that share a
+        landmark.
     """
 
     def __init__(
-        self, dataset: Dataset, association: Association, odometry_floor: float = ODOMETRY_FLOOR
+        self,
+        dataset: Dataset,
+        association: Association,
+        odometry_floor: float = ODOMETRY_FLOOR,
+        kernel: Kernel | None = None,
     ) -> None:
         self.dataset, self.association = dataset, association
-        self.notes: list[str] = []
-        sightings = dataset.sightings
-        self._used = np.flatnonzero(association.landmark >= 0)
-        kinds = np.unique(sightings.kind[self._used])
-        if len(kinds) > 1:
-            raise UnsupportedError("gtsam cannot mix range-bearing and xy sightings in one graph")
-        self.points_3d = bool(len(kinds) and kinds[0] == XY)
-        self.landmarks = np.unique(association.landmark[self._used])
-        self._prior = self._prior_factor()
-        self._motions = self._motion_factors(odometry_floor)
-        self._factors_of = self._projections() if self.points_3d else self._bearing_ranges()
-
-    @property
-    def dof(self) -> int:
-        """Rows of the residual minus dimensions of the state.
-
-        Ties of sensor poses and the fixed depth of a projection add as many rows as dimensions.
-        """
-        rows = 3 * self.dataset.poses + 2 * len(self._used)
-        return rows - 3 * self.dataset.poses - 2 * len(self.landmarks)
-
-    # Factors of one step ------------------------------------------------------------------------
-
-    def step(self, k: int) -> list[gtsam.NonlinearFactor]:
-        """Factors of step k: prior or motion, then sightings."""
-        motion = self._prior if k == 0 else self._motions[k - 1]
-        return [motion, *self._factors_of(k)]
-
-    def graph(self) -> gtsam.NonlinearFactorGraph:
-        """All factors."""
-        graph = gtsam.NonlinearFactorGraph()
-        for k in range(self.dataset.poses):
-            for factor in self.step(k):
-                graph.add(factor)
-        return graph
-
-    def _prior_factor(self) -> gtsam.NonlinearFactor:
-        prior = self.dataset.prior
-        covariance = geo.additive_to_body(prior.mean, prior.covariance)
-        if not covariance.any():
-            noise = noiseModel.Constrained.All(3)
-        else:
-            floored, raised = _floored(covariance[None], PRIOR_FLOOR)
-            noise = noiseModel.Gaussian.Covariance(floored[0])
-            if raised:
-                self.notes.append(f"prior noise floored at {PRIOR_FLOOR:g}")
-        return gtsam.PriorFactorPose2(POSE_KEY, gtsam.Pose2(*prior.mean), noise)
-
-    def _motion_factors(self, floor: float) -> list[gtsam.NonlinearFactor]:
-        deltas, covariances = self.dataset.robot.increments
-        covariances, raised = _floored(geo.additive_to_body(deltas, covariances), floor)
-        if raised:
+        self.rows = association.rows
+        self.notes = list(association.notes)
+        kinds = np.unique(dataset.sightings.kind[association.landmark >= 0])
+        self.points_3d = XY in kinds
+        if self.points_3d and len(kinds) > 1:
+            raise UnsupportedError(
+                "gtsam cannot mix xy sightings of landmarks with others in one graph"
+            )
+        if kernel is not None:
             self.notes.append(
-                f"odometry noise floored at {floor:g} (m, rad) in {raised} of {len(deltas)} steps"
+                f"{kernel} on sightings of landmarks, and the error is the sum of its losses"
             )
-        return [
-            gtsam.BetweenFactorPose2(POSE_KEY + k, POSE_KEY + k + 1, gtsam.Pose2(*delta), noise)
-            for k, (delta, noise) in enumerate(
-                zip(deltas.tolist(), _noise_models(covariances), strict=True)
-            )
-        ]
-
-    def _rows(self) -> list[list[int]]:
-        """Positions among the used rows, by step."""
-        bounds = np.searchsorted(self._used, self.dataset.offsets).tolist()
-        return [list(range(bounds[k], bounds[k + 1])) for k in range(self.dataset.poses)]
-
-    def _bearing_ranges(self):  # type: ignore[no-untyped-def]
-        sightings = self.dataset.sightings
-        used, rows = self._used, self._rows()
-        mount = sightings.mount[used]
-        displaced = (mount[:, :2] != 0).any(axis=1).tolist()
-        turn = np.where(displaced, 0.0, mount[:, 2])
-        bearings = (sightings.values[used, 1] + turn).tolist()
-        ranges = sightings.values[used, 0].tolist()
-        keys = (self.association.landmark[used] + LANDMARK_KEY).tolist()
-        noises = _noise_models(sightings.covariance[used][:, ::-1, ::-1])  # bearing comes first
-        sensors = self.dataset.observations.sensor[used].tolist()
-        poses = [gtsam.Pose2(*sensor.mount) for sensor in self.dataset.sensors]
-        tie = noiseModel.Constrained.All(3)
-        count = len(self.dataset.sensors)
-
-        def factors(k: int) -> Iterator[gtsam.NonlinearFactor]:
-            tied: set[int] = set()
-            for i in rows[k]:
-                at = POSE_KEY + k
-                if displaced[i]:
-                    at = SENSOR_KEY + k * count + sensors[i]
-                    if at not in tied:
-                        tied.add(at)
-                        yield gtsam.BetweenFactorPose2(POSE_KEY + k, at, poses[sensors[i]], tie)
-                yield gtsam.BearingRangeFactor2D(
-                    at, keys[i], gtsam.Rot2(bearings[i]), ranges[i], noises[i]
-                )
-
-        return factors
-
-    def _projections(self):  # type: ignore[no-untyped-def]
-        sightings = self.dataset.sightings
-        used, rows = self._used, self._rows()
-        values = sightings.values[used]
-        keys = (self.association.landmark[used] + LANDMARK_KEY).tolist()
-        noises = _noise_models(sightings.covariance[used])
-        sensors = self.dataset.observations.sensor[used].tolist()
-        cameras = [
+        self._calibration = gtsam.Cal3DS2(*PINHOLE)
+        self._mounts = [gtsam.Pose2(*sensor.mount) for sensor in dataset.sensors]
+        self._cameras = [
             gtsam.Pose3(gtsam.Rot3.Rz(s.mount[2]), np.array([s.mount[0], s.mount[1], 0.0]))
-            for s in self.dataset.sensors
+            for s in dataset.sensors
         ]
-        calibration = gtsam.Cal3DS2(*PINHOLE)
-        _, first = np.unique(self.association.landmark[used], return_index=True)
-        is_first = np.isin(np.arange(len(used)), first).tolist()
-        # Depth is held at 1; x and y are left alone (1e9 m is no information). A constraint would
-        # do the same, but gtsam's marginals of a partly constrained variable are wrong.
-        depth = noiseModel.Diagonal.Sigmas(np.array([1e9, 1e9, DEPTH_SIGMA]))
+        priors = [self._prior_factor(i, r.prior) for i, r in enumerate(dataset.robots)]
+        self._motions = [tuple(priors), *self._motion_factors(odometry_floor)]
+        self._auxiliary: dict[int, int] = {}
+        self._sightings = dict(zip(self.rows.tolist(), self._sighting_factors(kernel), strict=True))
 
-        def factors(k: int) -> Iterator[gtsam.NonlinearFactor]:
-            for i in rows[k]:
-                if is_first[i]:
-                    yield gtsam.PriorFactorPoint3(keys[i], np.array([0.0, 0.0, 1.0]), depth)
-                yield gtsam.PlanarProjectionFactor2(
-                    POSE_KEY + k, keys[i], values[i], cameras[sensors[i]], calibration, noises[i]
-                )
+    # Factors ------------------------------------------------------------------------------------
 
-        return factors
+    def motions(self, k: int) -> Sequence[gtsam.NonlinearFactor]:
+        """What leads the robots to step k: their priors, or their motions."""
+        return self._motions[k]
 
-    # Values -------------------------------------------------------------------------------------
-
-    def point(self, position: Array) -> Array:
-        """A landmark's position as the graph holds it."""
-        return np.array([position[0], position[1], 1.0]) if self.points_3d else position
-
-    def values_of_step(
-        self, k: int, pose: Array, landmarks: Iterable[tuple[int, Array]]
-    ) -> gtsam.Values:
-        """Initial values of the variables that step k adds.
+    def seen(
+        self, rows: Iterable[int], landmarks: Iterable[int], auxiliaries: Iterable[int]
+    ) -> Iterator[gtsam.NonlinearFactor]:
+        """Factors of sightings.
 
         Parameters
         ----------
-        k : int
-        pose : (3,) sequence
-            Of the robot at step k.
-        landmarks : iterable of (int, (2,) ndarray)
-            New landmarks with their positions.
+        rows : iterable of int
+        landmarks : iterable of int
+            Those that enter the graph with them.
+        auxiliaries : iterable of int
+            Keys of the auxiliary variables that enter with them.
+        """
+        for row in rows:
+            yield self._sightings[row]
+        if self.points_3d:
+            for landmark in landmarks:
+                yield self._depth(keys.landmark_key(landmark))
+        for key in auxiliaries:
+            if keys.is_sensor(key):
+                step, robot, sensor = keys.indices(key)
+                pose = keys.pose_key(step, robot)
+                yield gtsam.BetweenFactorPose2(pose, key, self._mounts[sensor], TIE)
+            else:
+                row = key - keys.SEEN
+                robot, step = self._shown(row)
+                pose = keys.pose_key(step, robot)
+                noise = noiseModel.Isotropic.Variance(2, self._near(row))
+                yield self._projection(pose, key, np.zeros(2), gtsam.Pose3(), noise)
+                yield self._depth(key)
+
+    def auxiliaries(self, rows: Iterable[int]) -> list[int]:
+        """Keys of the auxiliary variables that sightings need."""
+        needed = self._auxiliary
+        return sorted({needed[row] for row in rows if row in needed}) if needed else []
+
+    def landmarks_of(self, rows: Iterable[int]) -> list[int]:
+        """Landmarks that sightings show."""
+        shown = np.unique(self.association.landmark[list(rows)])
+        return shown[shown >= 0].tolist()
+
+    def graph(self, rows: Iterable[int] | None = None) -> gtsam.NonlinearFactorGraph:
+        """All motions, and sightings: of some rows, or all that are used."""
+        rows = self.rows.tolist() if rows is None else list(rows)
+        graph = gtsam.NonlinearFactorGraph()
+        for factors in self._motions:
+            for factor in factors:
+                graph.add(factor)
+        for factor in self.seen(rows, self.landmarks_of(rows), self.auxiliaries(rows)):
+            graph.add(factor)
+        return graph
+
+    def dof(self, rows: Iterable[int]) -> int:
+        """Rows of the residual minus dimensions of the state, of a graph with some sightings.
+
+        Priors and motions have as many rows as poses have dimensions, and so have the factors that
+        come with auxiliary variables; the fixed depth of a projection has its dimension.
+        """
+        rows = list(rows)
+        kinds = self.dataset.sightings.kind[rows]
+        partial = np.isin(kinds, [BEARING, RANGE]).sum()
+        return int(2 * len(rows) - partial - 2 * len(self.landmarks_of(rows)))
+
+    def _prior_factor(self, robot: int, prior: Prior) -> gtsam.NonlinearFactor:
+        covariance = geo.additive_to_body(prior.mean, prior.covariance)
+        noise: noiseModel.Base = TIE
+        if covariance.any():
+            regular, raised = floored(covariance[None], PRIOR_FLOOR)
+            noise = noiseModel.Gaussian.Covariance(regular[0])
+            if raised:
+                self.notes.append(f"prior noise floored at {PRIOR_FLOOR:g}")
+        return gtsam.PriorFactorPose2(keys.pose_key(0, robot), gtsam.Pose2(*prior.mean), noise)
+
+    def _motion_factors(self, floor: float) -> Iterator[tuple[gtsam.NonlinearFactor, ...]]:
+        """Motions of all robots, by step."""
+        chains, low, count = [], 0, 0
+        for index, robot in enumerate(self.dataset.robots):
+            deltas, covariances = robot.increments
+            covariances, raised = floored(geo.additive_to_body(deltas, covariances), floor)
+            low, count = low + raised, count + len(deltas)
+            start = keys.pose_key(0, index)
+            chains.append(
+                [
+                    gtsam.BetweenFactorPose2(start + k, start + k + 1, gtsam.Pose2(*delta), noise)
+                    for k, (delta, noise) in enumerate(
+                        zip(deltas.tolist(), models(covariances), strict=True)
+                    )
+                ]
+            )
+        if low:
+            self.notes.append(
+                f"odometry noise floored at {floor:g} (m, rad) in {low} of {count} steps"
+            )
+        return zip(*chains, strict=True)
+
+    def _sighting_factors(self, kernel: Kernel | None) -> Iterator[gtsam.NonlinearFactor]:
+        """One factor for each used row, in order; notes what they need on the way."""
+        rows, observations = self.rows, self.dataset.observations
+        seen = Sightings(*(column[rows] for column in self.dataset.sightings))
+        step, sensor = observations.step[rows], observations.sensor[rows]
+        displaced = (seen.mount[:, :2] != 0).any(axis=1)
+        of_robot = seen.target >= 0
+        mounted = displaced & np.isin(seen.kind, [RANGE_BEARING, BEARING])
+        pointed = of_robot & (seen.kind == XY)
+        at = keys.pose_key(step, seen.robot)
+        at = np.where(mounted, keys.sensor_key(step, seen.robot, sensor), at).tolist()
+        to = keys.landmark_key(self.association.landmark[rows])
+        to = np.where(of_robot, keys.pose_key(step, seen.target), to)
+        to = np.where(pointed, keys.seen_key(rows), to).tolist()
+        for i in np.flatnonzero(mounted | pointed).tolist():
+            self._auxiliary[int(rows[i])] = at[i] if mounted[i] else to[i]
+        bearings = np.where(seen.kind == RANGE_BEARING, seen.values[:, 1], seen.values[:, 0])
+        bearings = (bearings + np.where(displaced, 0.0, seen.mount[:, 2])).tolist()
+        ranges, kinds = seen.values[:, 0].tolist(), seen.kind.tolist()
+        noises = self._noises(sensor, of_robot, kernel)
+        for i, (mine, robot) in enumerate(zip(sensor.tolist(), of_robot.tolist(), strict=True)):
+            if kinds[i] == XY:
+                camera = self._cameras[mine]
+                yield self._projection(at[i], to[i], seen.values[i], camera, noises[i])
+            elif kinds[i] == RANGE and displaced[i]:
+                make = DISPLACED_RANGE[robot]
+                yield make(at[i], to[i], ranges[i], noises[i], self._mounts[mine])
+            else:
+                both = gtsam.Rot2(bearings[i]), ranges[i]
+                make = FACTORS[robot][kinds[i]]
+                yield make(at[i], to[i], *both[MEASURED[kinds[i]]], noises[i])
+
+    def _noises(
+        self, sensor: np.ndarray, of_robot: np.ndarray, kernel: Kernel | None
+    ) -> list[noiseModel.Base]:
+        """Noise model of each used row."""
+        covariance = self.dataset.sightings.covariance[self.rows]
+        noises = np.empty(len(self.rows), dtype=object)
+        for index, view in enumerate(s.view for s in self.dataset.sensors):
+            # gtsam has the bearing first.
+            order = slice(None, None, -1) if view.code == RANGE_BEARING else slice(view.size)
+            for robots in (False, True):
+                rows = np.flatnonzero((sensor == index) & (of_robot == robots))
+                own = covariance[rows][:, order, order]
+                if robots and view.code == XY:
+                    near = np.array([self._near(row) for row in self.rows[rows].tolist()])
+                    own = own - near[:, None, None] * np.eye(2)
+                noises[rows] = models(own, None if robots else kernel)
+        return noises.tolist()
+
+    def _shown(self, row: int) -> tuple[int, int]:
+        """Robot that an observation shows, and the step."""
+        return int(self.dataset.observed_robot[row]), int(self.dataset.observations.step[row])
+
+    def _near(self, row: int) -> float:
+        """Variance between the robot that an xy observation shows and its point."""
+        return NEAR * float(np.linalg.eigvalsh(self.dataset.sightings.covariance[row])[0])
+
+    def _projection(
+        self,
+        pose: int,
+        point: int,
+        value: Array,
+        camera: gtsam.Pose3,
+        noise: noiseModel.Base,
+    ) -> gtsam.NonlinearFactor:
+        return gtsam.PlanarProjectionFactor2(pose, point, value, camera, self._calibration, noise)
+
+    def _depth(self, key: int) -> gtsam.NonlinearFactor:
+        return gtsam.PriorFactorPoint3(key, np.array([0.0, 0.0, 1.0]), DEPTH)
+
+    # Values -------------------------------------------------------------------------------------
+
+    def values(
+        self, poses: Array, positions: Mapping[int, Array], rows: Iterable[int]
+    ) -> gtsam.Values:
+        """Initial values of all variables.
+
+        Parameters
+        ----------
+        poses : (R, K + 1, 3) ndarray
+        positions : mapping of int to (2,) array_like
+            Landmarks of the graph.
+        rows : iterable of int
+            Its sightings.
         """
         values = gtsam.Values()
-        self.insert_pose(values, k, pose)
-        for landmark, position in landmarks:
-            values.insert(LANDMARK_KEY + landmark, self.point(position))
+        for robot, chain in enumerate(poses.tolist()):
+            for k, pose in enumerate(chain):
+                values.insert(keys.pose_key(k, robot), gtsam.Pose2(*pose))
+        self.insert(values, poses, positions.items(), self.auxiliaries(rows))
         return values
 
-    def insert_pose(self, values: gtsam.Values, k: int, pose: Array) -> None:
-        """Insert a pose, and the poses of displaced sensors that look at step k."""
-        robot = gtsam.Pose2(*pose)
-        values.insert(POSE_KEY + k, robot)
-        if self.points_3d:
-            return
-        count = len(self.dataset.sensors)
-        for sensor in self._displaced_at(k):
-            mount = gtsam.Pose2(*self.dataset.sensors[sensor].mount)
-            values.insert(SENSOR_KEY + k * count + sensor, robot.compose(mount))
-
-    def _displaced_at(self, k: int) -> list[int]:
-        displaced = [i for i, s in enumerate(self.dataset.sensors) if s.mount[:2].any()]
-        if not displaced:
-            return []
-        rows = slice(self.dataset.offsets[k], self.dataset.offsets[k + 1])
-        used = self.association.landmark[rows] >= 0
-        seen = set(self.dataset.observations.sensor[rows][used].tolist())
-        return [i for i in displaced if i in seen]
-
-    def values(self, estimate: Estimate) -> gtsam.Values:
-        """Initial values of all variables from an estimate with the same association."""
-        trajectory, landmarks = estimate.final_trajectory, estimate.landmarks
-        if trajectory is None or landmarks is None:
-            raise UnsupportedError(f"{estimate.estimator} offers nothing to start from")
-        values = gtsam.Values()
-        for k, pose in enumerate(trajectory.poses.tolist()):
-            self.insert_pose(values, k, pose)
-        position = dict(zip(landmarks.ids.tolist(), landmarks.positions, strict=True))
-        for landmark in self.landmarks.tolist():
-            if landmark not in position:
-                raise UnsupportedError(f"{estimate.estimator} has no landmark {landmark}")
-            values.insert(LANDMARK_KEY + landmark, self.point(position[landmark]))
-        return values
+    def insert(
+        self,
+        values: gtsam.Values,
+        poses: Array,
+        positions: Iterable[tuple[int, Array]],
+        auxiliaries: Iterable[int],
+    ) -> None:
+        """Insert landmarks and auxiliary variables, as the poses (R, K + 1, 3) have them."""
+        for landmark, (x, y) in positions:
+            point = np.array([x, y, 1.0] if self.points_3d else [x, y])
+            values.insert(keys.landmark_key(landmark), point)
+        for key in auxiliaries:
+            if keys.is_sensor(key):
+                step, robot, sensor = keys.indices(key)
+                pose = gtsam.Pose2(*poses[robot, step])
+                values.insert(key, pose.compose(self._mounts[sensor]))
+            else:
+                x, y, _ = poses[self._shown(key - keys.SEEN)]
+                values.insert(key, np.array([x, y, 1.0]))
 
     def poses_of(self, values: gtsam.Values) -> Array:
-        """Poses (K + 1, 3) of a solution."""
-        # Keys sort by letter: sensor poses (s) come before the robot's (x).
-        return gtsam.utilities.extractPose2(values)[-self.dataset.poses :]
+        """Poses (R, K + 1, 3) of a solution."""
+        present = _keys(values)
+        own = keys.has_letter(present, keys.POSE)
+        both = own | keys.has_letter(present, keys.SENSOR)  # all that gtsam extracts, by key
+        poses = gtsam.utilities.extractPose2(values)[own[both]]
+        return poses.reshape(len(self.dataset.robots), self.dataset.poses, 3)
 
-    def positions_of(self, values: gtsam.Values) -> Array:
-        """Landmark positions (L, 2) of a solution, in the order of `landmarks`."""
-        extract = gtsam.utilities.extractPoint3 if self.points_3d else gtsam.utilities.extractPoint2
-        return np.asarray(extract(values)).reshape(-1, 3 if self.points_3d else 2)[:, :2]
+    def map_of(self, values: gtsam.Values) -> tuple[np.ndarray, Array]:
+        """Identities (L,) and positions (L, 2) of the landmarks of a solution."""
+        present = _keys(values)
+        own = keys.has_letter(present, keys.LANDMARK)
+        ids = present[own] - keys.LANDMARK
+        if not self.points_3d:
+            # gtsam leaves room for points of three coordinates, behind the others.
+            return ids, gtsam.utilities.extractPoint2(values).reshape(-1, 2)[: len(ids)]
+        both = own | keys.has_letter(present, keys.SEEN)
+        return ids, gtsam.utilities.extractPoint3(values).reshape(-1, 3)[own[both], :2]
+
+    def by_robot(self, series: Array) -> Array:
+        """A series (R, ...) as trajectories hold it: without its first axis for one robot."""
+        return series if len(self.dataset.robots) > 1 else series[0]
 
 
-def pose_covariances(poses: Array, marginals: Iterable[Array]) -> Array:
-    """gtsam's marginals of poses in the additive convention, (K + 1, 3, 3)."""
-    return geo.body_to_additive(poses, np.array(list(marginals)).reshape(-1, 3, 3))
+def _keys(values: gtsam.Values) -> np.ndarray:
+    return np.array(values.keys(), dtype=np.int64)
+
+
+def pose_covariances(poses: Array, marginals: Sequence[Any]) -> Array:
+    """gtsam's marginals of poses (..., 3) in the additive convention, (..., 3, 3)."""
+    return geo.body_to_additive(poses, np.reshape(marginals, (*poses.shape, 3)))
 
 
 def point_covariances(marginals: Iterable[Array]) -> Array:
     """gtsam's marginals of landmarks in x and y, (L, 2, 2)."""
     return np.array([marginal[:2, :2] for marginal in marginals]).reshape(-1, 2, 2)
-
-
-def _floored(covariances: Array, floor: float) -> tuple[Array, int]:
-    """Covariances with no standard deviation below a floor, and how many were changed."""
-    eigenvalues, vectors = np.linalg.eigh(covariances)
-    low = eigenvalues[:, 0] < floor**2
-    if not low.any():
-        return covariances, 0
-    raised = vectors[low] * np.maximum(eigenvalues[low], floor**2)[:, None, :]
-    covariances = covariances.copy()
-    covariances[low] = raised @ np.swapaxes(vectors[low], 1, 2)
-    return covariances, int(low.sum())
-
-
-def _noise_models(covariances: Array) -> list[noiseModel.Base]:
-    """Noise models of covariances (n, d, d); equal ones share a model."""
-    if len(covariances) == 0:
-        return []
-    flat = covariances.reshape(len(covariances), -1)
-    if (np.abs(flat - flat[0]) <= 1e-12 * np.abs(flat[0]).max()).all():
-        return [noiseModel.Gaussian.Covariance(covariances[0])] * len(covariances)
-    return [noiseModel.Gaussian.Covariance(covariance) for covariance in covariances]
