@@ -24,12 +24,13 @@ STEPS = 40
 
 SUMMARY = """
     dataset seed robot estimator series association alignment status message steps observations
-    landmarks_true landmarks_estimated landmarks_missed landmarks_spurious ate_position_rmse_m
-    ate_position_max_m ate_heading_rmse_rad rpe_position_rmse_m rpe_heading_rmse_rad
-    landmark_rmse_m landmark_max_m nees_pose_mean nees_pose_final nees_pose_invariant_mean
-    nees_pose_inside_95 nees_landmark_mean nis_per_dof nis_inside_95 graph_error
-    graph_chi2_per_dof gap_final_position_m gap_final_heading_rad gap_landmark_rmse_m
-    sigma_ratio_position sigma_ratio_heading time_total_s time_marginals_s
+    landmarks_true landmarks_estimated landmarks_undetermined landmarks_matched landmarks_missed
+    landmarks_spurious landmarks_duplicate landmarks_merged association_precision
+    association_recall ate_position_rmse_m ate_position_max_m ate_heading_rmse_rad
+    rpe_position_rmse_m rpe_heading_rmse_rad landmark_rmse_m landmark_max_m nees_pose_mean
+    nees_pose_final nees_pose_invariant_mean nees_pose_inside_95 nees_landmark_mean nis_per_dof
+    nis_inside_95 graph_error graph_chi2_per_dof gap_final_position_m gap_final_heading_rad
+    gap_landmark_rmse_m sigma_ratio_position sigma_ratio_heading time_total_s time_marginals_s
     time_per_step_median_us time_per_step_p99_us
 """
 
@@ -268,6 +269,7 @@ def test_an_interrupt_is_not_a_failure(data):
         ("cloister", "ekf", {"alignment": "sim3"}, UnknownNameError, "alignment"),
         ("cloister", "ekf", {"rpe_distance": 0.0}, InputError, "rpe_distance"),
         ("cloister", "ekf", {"rpe_distance": float("nan")}, InputError, "rpe_distance"),
+        ("cloister", "ekf", {"match_radius": -1.0}, InputError, "match_radius"),
         ("cloister", "ekf", {"path": "somewhere"}, InputError, "recorded"),
         ("cloister", "ekf", {"seed": -1}, InputError, "seed"),
     ],
@@ -330,9 +332,20 @@ def test_the_facade(data):
         _ = ekfslam.estimat
 
 
+def test_the_match_radius_reaches_summary_and_landmarks(data):
+    """Landmarks whose identities are the filter's own; no error can exceed the radius."""
+    own = Ekf(association="nearest")
+    for radius in (0.02, 2.0):
+        found = compare(data, own, match_radius=radius)
+        errors = found.landmarks["error_m"].dropna()
+        assert found.summary["landmarks_matched"][0] == len(errors)
+        assert found.summary["landmark_max_m"][0] == errors.max() < radius
+    assert len(errors) == found.summary["landmarks_estimated"][0] > 1
+
+
 # Files ------------------------------------------------------------------------------------------
 
-FILES = {"summary.csv", "trajectories.csv", "landmarks.csv", "innovations.csv", "config.json"}
+FILES = {*(f"{name}.csv" for name in tables.SCHEMAS), "config.json"}
 FIGURES = {
     f"{dataset}-{figure}.{kind}"
     for dataset in ("cloister", "loop-15")
@@ -368,7 +381,8 @@ def test_saving_again_replaces_its_own_files_and_keeps_the_others(comparison, tm
 
 def test_the_configuration_says_what_ran(data, tmp_path):
     subject = Ekf(update="sequential", accept=0.9)
-    found = compare(data, [subject, "gtsam-batch"], seed=7, alignment="se2", rpe_distance=2.5)
+    lengths = {"rpe_distance": 2.5, "match_radius": 0.5}
+    found = compare(data, [subject, "gtsam-batch"], seed=7, alignment="se2", **lengths)
     found.save(tmp_path, figures=False)
     text = (tmp_path / "config.json").read_text()
     config = json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
@@ -376,6 +390,7 @@ def test_the_configuration_says_what_ran(data, tmp_path):
     assert config["seed"] == 7
     assert config["alignment"] == "se2"
     assert config["rpe_distance_m"] == 2.5
+    assert config["match_radius_m"] == 0.5
     assert config["datasets"]["cloister"]["seed"] == 1
     assert "scenario cloister" in config["datasets"]["cloister"]["provenance"]
     assert config["estimators"]["ekf"]["update"] == "sequential"
