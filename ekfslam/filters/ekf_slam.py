@@ -11,10 +11,10 @@ import numpy as np
 
 from ekfslam.compiled import compiled, now
 from ekfslam.estimates import Decision, Linearizations
-from ekfslam.filters.initiation import extend
+from ekfslam.filters.initiation import extend, starts_as_point
 from ekfslam.filters.journal import record
 from ekfslam.filters.kernels import correct, move, project, times_transposed
-from ekfslam.filters.measure import BANKED, POINT, POSE, expect, innovate, rows_of
+from ekfslam.filters.measure import BANKED, POINT, POSE, foresee, moved, rows_of
 from ekfslam.filters.options import KNOWN
 from ekfslam.filters.recognition import by_identity
 
@@ -133,10 +133,10 @@ def use(state, sightings, first, last, k, settings, log, journal):  # type: igno
         index = log.landmark[i]
         if index < 0:
             continue
-        size = state.register.sizes[index]
-        if size != POINT and (size != 0 or log.decision[i] == NEW):
-            return PARTIAL
-        if log.decision[i] == NEW and state.waiting.row.size > 0:
+        if log.decision[i] == NEW:
+            if state.waiting.row.size > 0 or not starts_as_point(sightings.kind[i], settings):
+                return PARTIAL
+        elif state.register.sizes[index] == BANKED or state.register.sizes[index] > POINT:
             return PARTIAL
     return DONE
 
@@ -161,7 +161,7 @@ def update(state, sightings, first, last, settings, log, journal):  # type: igno
     together = accepted if settings.joint else 1
     rows = np.empty((d * together, n))
     S, z = np.empty((d * together, d * together)), np.empty(d * together)
-    H, expected = np.empty((together, 2, 7)), np.empty(2)
+    H, point = np.empty((together, 2, 7)), np.empty(4)
     places, sizes = np.empty(together, np.int64), np.empty(together, np.int64)
     total, dof, m, left = 0.0, 0, 0, accepted
     for i in range(first, last):
@@ -175,9 +175,8 @@ def update(state, sightings, first, last, settings, log, journal):  # type: igno
         if size == BANKED:
             continue
         left -= 1
-        here, there = mean[pose : pose + POSE], mean[at : at + size]
-        if expect(kind, size, mount, here, there, expected, H[m]):
-            innovate(kind, sightings.values[i], expected, log.innovation[i])
+        here, there, nu = mean[pose : pose + POSE], mean[at : at + size], log.innovation[i]
+        if foresee(kind, size, mount, here, there, sightings.values[i], point, H[m], nu):
             record(
                 journal,
                 OBSERVED,
@@ -189,11 +188,14 @@ def update(state, sightings, first, last, settings, log, journal):  # type: igno
                 size,
                 d,
                 here,
-                there,
+                point,
                 H[m],
-                log.innovation[i],
+                nu,
                 sightings.covariance[i],
             )
+            if size > POINT:
+                for a in range(d):
+                    nu[a] = moved(nu, H[m], there, point, size, a)
             project(P, n, pose, at, size, H[m], d, rows[d * m : d * m + d])
             places[m], sizes[m] = at, size
             for j in range(m + 1):  # S = H P H' + R, lower triangle of blocks

@@ -10,7 +10,7 @@ import math
 
 from ekfslam.compiled import compiled
 from ekfslam.filters.kernels import wrap
-from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING
+from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING, XY
 
 POSE, POINT, INVERSE_DEPTH = 3, 2, 4  # coordinates in the state
 BANKED = -1  # stands for the size of a landmark that is still a bank of hypotheses
@@ -108,6 +108,70 @@ def innovate(kind, value, expected, innovation):  # type: ignore[no-untyped-def]
     innovation[1] = value[1] - expected[1]
     if kind == RANGE_BEARING:
         innovation[1] = wrap(innovation[1])
+
+
+@compiled
+def along_the_ray(kind, mount, pose, target, value, point):  # type: ignore[no-untyped-def]
+    """Where to linearise a sighting of an inverse depth that tells its range: at that range.
+
+    A prior on rho holds distances that differ by far more than a range is linear over; where the
+    range is measured, there is no need to linearise anywhere else along the ray.
+
+    Parameters
+    ----------
+    kind, mount, pose, value
+        The observation, of a view that reports a range or x and y.
+    target : (4,) ndarray
+        The inverse depth.
+    point : (4,) ndarray
+        Written: the same ray, with rho of the point on it that has the measured range.
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    x = target[0] - pose[0] - c * mount[0] + s * mount[1]
+    y = target[1] - pose[1] - s * mount[0] - c * mount[1]
+    r = math.hypot(value[0], value[1]) if kind == XY else value[0]
+    along = x * math.cos(target[2]) + y * math.sin(target[2])
+    distance = -along + math.sqrt(max(along * along - x * x - y * y + r * r, 0.0))
+    point[:] = target
+    point[3] = 1.0 / max(distance, 1e-3)
+
+
+@compiled
+def foresee(kind, size, mount, pose, target, value, point, H, innovation):  # type: ignore[no-untyped-def]
+    """Innovation of a sighting, and the Jacobian and point that it is linearised at.
+
+    Parameters
+    ----------
+    kind, size, mount, pose, target, value
+        As for `expect`.
+    point : (>= size,) ndarray
+        Written: the target where it is linearised; elsewhere only `along_the_ray`.
+    H : (2, 7) ndarray
+        Written.
+    innovation : (2,) ndarray
+        Written: value minus what is expected at the point.
+
+    Returns
+    -------
+    bool
+        As `expect`.
+    """
+    point[:size] = target
+    if size == INVERSE_DEPTH and kind != BEARING:
+        along_the_ray(kind, mount, pose, target, value, point)
+    if not expect(kind, size, mount, pose, point[:size], innovation, H):
+        return False
+    innovate(kind, value, innovation, innovation)
+    return True
+
+
+@compiled
+def moved(innovation, H, target, point, size, a):  # type: ignore[no-untyped-def]
+    """Row a of an innovation, moved from the point of linearisation to the target."""
+    total = innovation[a]
+    for c in range(size):
+        total -= H[a, 3 + c] * (target[c] - point[c])
+    return total
 
 
 @compiled

@@ -23,7 +23,7 @@ from ekfslam.association.nearest import (
 )
 from ekfslam.compiled import compiled
 from ekfslam.estimates import Decision
-from ekfslam.filters.measure import BANKED, POINT, expect, innovate, locate, rows_of
+from ekfslam.filters.measure import BANKED, POINT, foresee, locate, moved, rows_of
 from ekfslam.filters.options import (
     ALLOCATED,
     EUCLIDEAN,
@@ -58,8 +58,6 @@ class Evidence(NamedTuple):
         the methods that ask for it.
     accept, new : (m,) ndarray
         Gates.
-    expected : (C, 2), H : (C, 2, 7) ndarray
-        Expected measurement of each candidate, and its Jacobian.
     """
 
     candidates: np.ndarray
@@ -69,8 +67,6 @@ class Evidence(NamedTuple):
     points: Array
     accept: Array
     new: Array
-    expected: Array
-    H: Array
 
 
 @compiled
@@ -154,14 +150,15 @@ def verify(state, sightings, i, settings, log):  # type: ignore[no-untyped-def]
     if register.offsets[index] < 0:  # a bank weighs for itself
         return
     at, size, d = register.offsets[index], register.sizes[index], rows_of(kind)
-    expected, H, S = np.empty(2), np.empty((2, 7)), np.empty((2, 2))
-    here, there = slam.mean[pose : pose + 3], slam.mean[at : at + size]
-    if not expect(kind, size, sightings.mount[i], here, there, expected, H):
+    point, H, S = np.empty(4), np.empty((2, 7)), np.empty((2, 2))
+    here, there, nu = slam.mean[pose : pose + 3], slam.mean[at : at + size], log.innovation[i]
+    if not foresee(kind, size, sightings.mount[i], here, there, sightings.values[i], point, H, nu):
         log.decision[i] = REJECTED
         return
-    innovate(kind, sightings.values[i], expected, log.innovation[i])
+    for a in range(d):
+        nu[a] = moved(nu, H, there, point, size, a)
     cross(slam.covariance, pose, at, size, H, at, size, H, d, S)
-    distance, _ = against(log.innovation[i], S, sightings.covariance[i], d)
+    distance, _ = against(nu, S, sightings.covariance[i], d)
     log.S[i, :d, :d] = S[:d, :d] + sightings.covariance[i, :d, :d]
     if not distance <= settings.known[d]:
         log.decision[i] = REJECTED
@@ -211,8 +208,7 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
     distances, logdets = np.full((m, count), np.inf), np.zeros((m, count))
     points = np.full((m if uses_points(settings.method) else 0, count), np.inf)
     accept, new = np.empty(m), np.empty(m)
-    expected, H = np.empty((count, 2)), np.empty((count, 2, 7))
-    E, innovation = np.empty((2, 2)), np.empty(2)
+    point, H, nu, E = np.empty(4), np.empty((2, 7)), np.empty(2), np.empty((2, 2))
     described = settings.descriptor_variance > 0.0
     for k in range(m):
         more = 1 if described and not np.isnan(sightings.descriptor[rows[k]]) else 0
@@ -220,14 +216,17 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
     for j in range(count):
         index = candidates[j]
         at, size = register.offsets[index], register.sizes[index]
-        there = mean[at : at + size]
-        if not expect(kind, size, mount, mean[pose : pose + 3], there, expected[j], H[j]):
-            continue
-        cross(P, pose, at, size, H[j], at, size, H[j], d, E)
+        here, there = mean[pose : pose + 3], mean[at : at + size]
         for k in range(m):
             i = rows[k]
-            innovate(kind, sightings.values[i], expected[j], innovation)
-            distances[k, j], logdets[k, j] = against(innovation, E, sightings.covariance[i], d)
+            value, R = sightings.values[i], sightings.covariance[i]
+            if not foresee(kind, size, mount, here, there, value, point, H, nu):
+                continue
+            if k == 0 or size > POINT:  # of a point it is the same for all of the look
+                cross(P, pose, at, size, H, at, size, H, d, E)
+            for a in range(d):
+                nu[a] = moved(nu, H, there, point, size, a)
+            distances[k, j], logdets[k, j] = against(nu, E, R, d)
             if described:
                 known = register.descriptor[index]
                 distances[k, j] += descriptor_distance(
@@ -237,7 +236,7 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
                 )
     if points.shape[0] > 0:
         back_projected(state, sightings, rows, candidates, settings, points)
-    return Evidence(candidates, rows, distances, logdets, points, accept, new, expected, H)
+    return Evidence(candidates, rows, distances, logdets, points, accept, new)
 
 
 @compiled
@@ -311,7 +310,7 @@ def decide_jointly(state, sightings, evidence, settings, choice):  # type: ignor
 
     Returns whether the search was complete.
     """
-    register, P = state.register, state.slam.covariance
+    register, mean, P = state.register, state.slam.mean, state.slam.covariance
     distances, candidates, rows = evidence.distances, evidence.candidates, evidence.rows
     m = rows.size
     if m == 0:
@@ -324,14 +323,18 @@ def decide_jointly(state, sightings, evidence, settings, choice):  # type: ignor
             pairs += distances[k, j] <= evidence.accept[k]
     row, column = np.empty(pairs, np.int64), np.empty(pairs, np.int64)
     innovations = np.zeros(2 * pairs)
-    pairs = 0
+    H, point, pairs = np.empty((pairs, 2, 7)), np.empty(4), 0
     for k in range(m):
         for j in range(candidates.size):
             if distances[k, j] <= evidence.accept[k]:
+                i, at = rows[k], register.offsets[candidates[j]]
+                size = register.sizes[candidates[j]]
+                here, there = mean[pose : pose + 3], mean[at : at + size]
+                nu, value = innovations[2 * pairs : 2 * pairs + 2], sightings.values[i]
+                foresee(kind, size, sightings.mount[i], here, there, value, point, H[pairs], nu)
+                for a in range(d):
+                    nu[a] = moved(nu, H[pairs], there, point, size, a)
                 row[pairs], column[pairs] = k, j
-                value = sightings.values[rows[k]]
-                at = innovations[2 * pairs : 2 * pairs + 2]
-                innovate(kind, value, evidence.expected[j], at)
                 pairs += 1
     joint, block = np.zeros((2 * pairs, 2 * pairs)), np.empty((2, 2))
     for p in range(pairs):
@@ -343,10 +346,10 @@ def decide_jointly(state, sightings, evidence, settings, choice):  # type: ignor
                 pose,
                 register.offsets[one],
                 register.sizes[one],
-                evidence.H[column[p]],
+                H[p],
                 register.offsets[two],
                 register.sizes[two],
-                evidence.H[column[q]],
+                H[q],
                 d,
                 block,
             )
