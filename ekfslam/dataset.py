@@ -334,6 +334,21 @@ class Dataset:
             true_map=moved_map(self.true_map),
         )
 
+    def without_identities(self) -> Dataset:
+        """The same run with the identities of its landmarks withheld from the estimators.
+
+        The truth of the association, for evaluation, is kept; where there is none, the identities
+        become it, if all are known.
+        """
+        known = self.observations.landmark if self.association_known else None
+        return replace(
+            self,
+            observations=replace(
+                self.observations, landmark=np.full(len(self.observations), NO_LANDMARK)
+            ),
+            true_landmark=known if self.true_landmark is None else self.true_landmark,
+        )
+
     # Files ----------------------------------------------------------------------------------
 
     def save(self, path: str | Path) -> None:

@@ -13,10 +13,11 @@ from ekfslam.errors import InputError, UnknownNameError
 
 
 class Recorded(NamedTuple):
-    """A recorded set: what it is, and the module that loads it."""
+    """A recorded set: what it is, and the function that loads it."""
 
     description: str
     module: str
+    loader: str = "load"
 
 
 RECORDED: Mapping[str, Recorded] = {
@@ -24,6 +25,17 @@ RECORDED: Mapping[str, Recorded] = {
         "recorded: a car among the trees of a park in Sydney; 6969 poses, 151 landmarks, "
         "association given, no truth (Guivant and Nebot 2001)",
         "ekfslam.datasets.victoria_park",
+    ),
+    "plaza1": Recorded(
+        "recorded: a mower and ranges to four radio beacons; 9658 poses, 3527 ranges, truth and "
+        "association given (Djugash, Hamner and Roth 2009)",
+        "ekfslam.datasets.plaza",
+        "plaza1",
+    ),
+    "plaza2": Recorded(
+        "recorded: as plaza1, faster; 4091 poses, 1816 ranges",
+        "ekfslam.datasets.plaza",
+        "plaza2",
     ),
 }
 
@@ -51,7 +63,8 @@ def load_recorded(name: str, path: str | Path | None = None, **options: Any) -> 
     """
     if name not in RECORDED:
         raise UnknownNameError("dataset", name, RECORDED)
-    loader: Callable[..., Dataset] = import_module(RECORDED[name].module).load
+    recorded = RECORDED[name]
+    loader: Callable[..., Dataset] = getattr(import_module(recorded.module), recorded.loader)
     try:
         signature(loader).bind(path, **options)
     except TypeError as error:

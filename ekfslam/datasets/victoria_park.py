@@ -19,7 +19,6 @@ The file has no times: the time of a pose is its number in the order of travel, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +26,7 @@ import numpy as np
 
 from ekfslam.checks import is_covariance
 from ekfslam.dataset import Dataset, Observations, Prior, Robot
+from ekfslam.datasets.wheel import in_wheel
 from ekfslam.errors import FileFormatError, InputError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import MotionModel
@@ -35,14 +35,6 @@ from ekfslam.models.sensors import Sensor
 ODOMETRY_SIGMAS = (0.1, 0.1, 0.01)
 SENSOR_SIGMAS = (0.5, 0.05)
 FIELDS = {"ODOMETRY": 11, "LANDMARK": 7}
-
-
-def default_path() -> Path:
-    """Where the gtsam wheel keeps the file (gtsam itself is not imported)."""
-    spec = find_spec("gtsam")
-    if spec is None or spec.origin is None:
-        raise FileFormatError("victoria-park comes with the gtsam package, which is not installed")
-    return Path(spec.origin).parent / "Data" / "victoria_park.txt"
 
 
 def load(
@@ -79,7 +71,7 @@ def load(
     """
     if noise not in ("default", "file"):
         raise InputError(f"noise must be 'default' or 'file', got {noise!r}")
-    path = default_path() if path is None else Path(path)
+    path = in_wheel("victoria_park.txt", "victoria-park") if path is None else Path(path)
     odometry, sightings = _read(path)
     step = _steps(path, odometry, sightings)
     values, covariance = sightings.values, None
