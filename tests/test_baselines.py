@@ -6,15 +6,17 @@ from functools import cache
 import gtsam
 import numpy as np
 import pytest
-from numerics import central_difference
+from problems import DenseSmoother, assert_solves, camera, gap, near, problem, scanner, stacked
 from textbook import first_poses
 
+from baselines import keys
+from baselines.association import Association
 from baselines.batch import GtsamBatch
 from baselines.dead_reckoning import DeadReckoning
 from baselines.isam2 import GtsamIsam2
-from baselines.landmark_graph import Association, LandmarkGraph
+from baselines.landmark_graph import LandmarkGraph
 from ekfslam import geometry as geo
-from ekfslam.dataset import LandmarkMap, Observations, Prior
+from ekfslam.dataset import Observations, Prior
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import (
     FAILED,
@@ -26,23 +28,7 @@ from ekfslam.estimates import (
     Trajectory,
 )
 from ekfslam.filters.ekf import Ekf
-from ekfslam.models.motion import MotionModel
-from ekfslam.models.sensors import Sensor
-from ekfslam.simulation import Scenario, load_scenario, simulate
-
-# A small problem that is hard on frames -----------------------------------------------------------
-
-START = Prior([0.5, -0.5, 2.5], [[0.09, 0.01, 0.02], [0.01, 0.01, 0], [0.02, 0, 0.04]])
-INCREMENT = np.array([[9e-3, 2e-3, 4e-4], [2e-3, 1e-3, -2e-4], [4e-4, -2e-4, 1e-3]])
-
-
-def scanner(*mount):
-    return Sensor("range-bearing", [[0.01, 0.001], [0.001, 0.0004]], mount=mount or np.zeros(3))
-
-
-def camera(*mount):
-    return Sensor("xy", [[0.04, 0.01], [0.01, 0.02]], mount=mount or np.zeros(3))
-
+from ekfslam.simulation import load_scenario, simulate
 
 SENSORS = {
     "scanner": (scanner(),),
@@ -57,174 +43,84 @@ SENSORS = {
 }
 
 
-def small(sensors, prior=START):
-    """Ten poses with large turns, anisotropic correlated noise, five landmarks always in view."""
-    return simulate(
-        Scenario(
-            name="small",
-            landmarks=LandmarkMap([3, 5, 8, 13, 21], [[2, 3], [4, -1], [-2, 2], [1, -3], [5, 2]]),
-            start=START.mean,
-            controls=np.column_stack([np.full((9, 2), [0.8, 0.2]), np.resize([1.2, -0.8, 0.9], 9)]),
-            motion=MotionModel("odometry", covariance=INCREMENT),
-            sensors=sensors,
-            prior=prior,
-            draw_prior=True,
-            observe_start=True,
-        ),
-        seed=0,
-    )
-
-
-class DenseSmoother:
-    """Least squares over all poses and landmarks, additive in (x, y, theta) and (x, y).
-
-    Errors of pose and motion are those of gtsam, ``Log(measured^-1 actual)``, with the covariance
-    of the additive error turned into that frame; they agree with additive errors to first order.
-    """
-
-    def __init__(self, dataset):
-        self.dataset = dataset
-        self.ids, self.landmark = np.unique(dataset.observations.landmark, return_inverse=True)
-
-    def residuals(self, x):
-        """Whitened residuals, (rows,)."""
-        dataset, observations = self.dataset, self.dataset.observations
-        poses = x[: 3 * dataset.poses].reshape(-1, 3)
-        points = x[3 * dataset.poses :].reshape(-1, 2)
-        deltas, noise = dataset.robot.increments
-        moved = geo.log(geo.between(deltas, geo.between(poses[:-1], poses[1:])))
-        parts = [_whitened(geo.additive_to_body(deltas, noise), moved)]
-        if (prior := dataset.prior).covariance.any():
-            off = geo.log(geo.between(prior.mean, poses[0]))
-            parts.append(_whitened(geo.additive_to_body(prior.mean, prior.covariance), off))
-        for index, sensor in enumerate(dataset.sensors):
-            rows = observations.sensor == index
-            expected = sensor.observe(poses[observations.step[rows]], points[self.landmark[rows]])
-            values = observations.values[rows]
-            error = sensor.difference(expected[0], values)
-            parts.append(_whitened(sensor.covariances(values), error))
-        return np.concatenate(parts)
-
-    def solve(self, x):
-        """Minimum near x, and covariance there; an exactly known start stays where it is."""
-        free = np.arange(0 if self.dataset.prior.covariance.any() else 3, len(x))
-        x = x.copy()
-
-        def at(step):
-            moved = x.copy()
-            moved[free] += step
-            return self.residuals(moved)
-
-        for _ in range(10):
-            J = central_difference(at, np.zeros(len(free)), step=0.01)
-            step = -np.linalg.lstsq(J, self.residuals(x), rcond=None)[0]
-            x[free] += step
-            if np.abs(step).max() < 1e-8:
-                break
-        covariance = np.zeros((len(x), len(x)))
-        covariance[np.ix_(free, free)] = np.linalg.inv(J.T @ J)
-        return x, covariance
-
-
-def _whitened(covariance, error):
-    return np.linalg.solve(np.linalg.cholesky(covariance), error[..., None]).reshape(-1)
-
-
-def stacked(estimate):
-    """Poses and landmarks of a smoother as one vector."""
-    return np.concatenate([estimate.smoothed.poses.ravel(), estimate.landmarks.positions.ravel()])
-
-
-def gap(one, other):
-    """Largest difference between the poses and the landmarks of two smoothers."""
-    poses = geo.additive_error(one.smoothed.poses, other.smoothed.poses)
-    points = one.landmarks.positions - other.landmarks.positions
-    return max(np.abs(poses).max(), np.abs(points).max())
-
-
-def diagonal_blocks(covariance, start, count, size):
-    at = start + size * np.arange(count)[:, None] + np.arange(size)
-    return covariance[at[:, :, None], at[:, None, :]]
-
-
-def assert_solves(estimate, dataset):
-    """The estimate is the dense optimum, its covariances the inverse of the dense information."""
-    assert estimate.status == OK
-    x, covariance = DenseSmoother(dataset).solve(stacked(estimate))
-    np.testing.assert_allclose(stacked(estimate), x, rtol=0, atol=1e-7)
-    count = dataset.poses
-    poses = diagonal_blocks(covariance, 0, count, 3)
-    points = diagonal_blocks(covariance, 3 * count, len(estimate.landmarks), 2)
-    for actual, expected in (
-        (estimate.smoothed.covariances, poses),
-        (estimate.landmarks.covariances, points),
-    ):
-        np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
-
-
 # The graph ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("prior", [START, Prior(START.mean)], ids=["prior", "known start"])
+@pytest.mark.parametrize("known_start", [False, True])
 @pytest.mark.parametrize("name", SENSORS)
-def test_the_error_of_the_graph_is_ours_wherever_it_is_evaluated(name, prior, rng):
-    dataset = small(SENSORS[name], prior)
-    problem = LandmarkGraph(dataset, Association.known(dataset))
-    graph, dense = problem.graph(), DenseSmoother(dataset)
-    assert problem.landmarks.tolist() == dense.ids.tolist() == [3, 5, 8, 13, 21]
+def test_the_error_of_the_graph_is_ours_wherever_it_is_evaluated(name, known_start, rng):
+    dataset = problem(*SENSORS[name], known_start=known_start)
+    graphed, dense = LandmarkGraph(dataset, Association.known(dataset)), DenseSmoother(dataset)
+    graph, rows = graphed.graph(), graphed.rows
+    assert graphed.landmarks_of(rows) == dense.ids.tolist() == [3, 5, 8, 13, 21]
     for _ in range(5):
-        poses = dataset.truth + rng.normal(size=(10, 3)) * [0.5, 0.5, 0.3]
-        if not prior.covariance.any():
-            poses[0] = prior.mean
-        points = dataset.true_map.positions + rng.normal(size=(5, 2))
-        there = LandmarkEstimates(dataset.true_map.ids, points)
-        values = problem.values(Estimate("", "", smoothed=Trajectory(poses), landmarks=there))
+        there = near(dataset, rng, 0.5)
+        poses, points = there.online.poses, there.landmarks.positions
+        places = dict(zip(there.landmarks.ids.tolist(), points, strict=True))
+        values = graphed.values(poses[None], places, rows)
         residuals = dense.residuals(np.concatenate([poses.ravel(), points.ravel()]))
         assert graph.error(values) == pytest.approx(0.5 * residuals @ residuals, rel=1e-10)
-    exact = 0 if prior.covariance.any() else 3  # a known start is no unknown
-    assert problem.dof == len(residuals) - (3 * 10 + 2 * 5 - exact)
+        read = geo.additive_error(graphed.poses_of(values)[0], poses)
+        np.testing.assert_allclose(read, 0, rtol=0, atol=1e-12)
+        ids, positions = graphed.map_of(values)
+        assert ids.tolist() == [3, 5, 8, 13, 21]
+        np.testing.assert_array_equal(positions, points)
+    exact = 3 if known_start else 0  # a known start is no unknown
+    assert graphed.dof(rows) == len(residuals) - (3 * 10 + 2 * 5 - exact)
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_batch_is_the_dense_optimum_with_its_covariances(name):
-    dataset = small(SENSORS[name])
-    assert_solves(GtsamBatch(relative_tolerance=1e-15).estimate(dataset), dataset)
+def test_batch_is_the_dense_optimum_with_its_covariances(name, rng):
+    dataset = problem(*SENSORS[name])
+    start = near(dataset, rng, 0.1)
+    assert_solves(GtsamBatch(initial=start, relative_tolerance=1e-15).estimate(dataset), dataset)
 
 
 @pytest.mark.parametrize("name", ["two scanners displaced", "two cameras"])
 def test_a_known_start_stays_known(name):
-    dataset = small(SENSORS[name], Prior(START.mean))
-    estimate = GtsamBatch(relative_tolerance=1e-15).estimate(dataset)
+    dataset = problem(*SENSORS[name], known_start=True)
+    estimate = GtsamBatch(initial=near(dataset), relative_tolerance=1e-15).estimate(dataset)
     assert_solves(estimate, dataset)
-    np.testing.assert_allclose(estimate.smoothed.poses[0], START.mean, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(estimate.smoothed.poses[0], dataset.prior.mean, rtol=0, atol=1e-12)
     np.testing.assert_allclose(estimate.smoothed.covariances[0], 0, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["two scanners displaced", "camera displaced"])
 def test_isam2_that_always_relinearises_is_the_dense_optimum(name):
-    dataset = small(SENSORS[name])
+    dataset = problem(*SENSORS[name])
     eager = GtsamIsam2(relinearize_threshold=1e-9, relinearize_skip=1, final_updates=10)
     assert_solves(eager.estimate(dataset), dataset)
 
 
 def test_noise_given_with_each_sighting_is_used():
-    dataset = small((scanner(),))
+    dataset = problem(scanner())
     rows = len(dataset.observations)
     growing = np.linspace(0.5, 2.0, rows)[:, None, None] * dataset.sensors[0].covariance
     given = replace(dataset, observations=replace(dataset.observations, covariance=growing))
-    problem = LandmarkGraph(given, Association.known(given))
-    truth = LandmarkEstimates(dataset.true_map.ids, dataset.true_map.positions)
-    values = problem.values(Estimate("", "", smoothed=Trajectory(dataset.truth), landmarks=truth))
-    bearing_range = [f for k in range(10) for f in problem.step(k)[1:]]
+    graphed = LandmarkGraph(given, Association.known(given))
+    places = dict(zip(dataset.true_map.ids.tolist(), dataset.true_map.positions, strict=True))
+    values = graphed.values(dataset.truth[None], places, graphed.rows)
     x = np.concatenate([dataset.truth.ravel(), dataset.true_map.positions.ravel()])
     whitened = DenseSmoother(dataset).residuals(x)[-2 * rows :].reshape(-1, 2)
     errors = np.sum(whitened**2, axis=1) / growing[:, 0, 0] * dataset.sensors[0].covariance[0, 0]
-    np.testing.assert_allclose([f.error(values) for f in bearing_range], errors / 2, rtol=1e-10)
+    factors = graphed.seen(range(rows), [], [])
+    np.testing.assert_allclose([f.error(values) for f in factors], errors / 2, rtol=1e-10)
 
 
 def test_scanners_and_cameras_in_one_graph_are_not_supported():
-    with pytest.raises(UnsupportedError, match="mix range-bearing and xy"):
-        GtsamBatch().estimate(small((scanner(), camera())))
+    dataset = problem(scanner(), camera())
+    for smoother in (GtsamBatch(initial=near(dataset)), GtsamIsam2()):
+        with pytest.raises(UnsupportedError, match="mix xy sightings of landmarks with others"):
+            smoother.estimate(dataset)
+
+
+def test_messages_name_variables():
+    assert keys.key_name(keys.pose_key(17)) == "pose 17"
+    assert keys.key_name(keys.pose_key(17, 2)) == "pose 17 of robot 2"
+    assert keys.key_name(keys.landmark_key(5)) == "landmark 5"
+    assert keys.key_name(keys.sensor_key(17, 0, 1)) == "pose 17 of sensor 1"
+    assert keys.key_name(keys.sensor_key(17, 2, 1)) == "pose 17 of sensor 1 of robot 2"
+    assert keys.key_name(keys.seen_key(40)) == "point of observation 40"
 
 
 # At the optimum -----------------------------------------------------------------------------------
@@ -281,8 +177,10 @@ def test_a_floor_is_put_under_singular_noise_and_told():
     loop = GtsamBatch(marginals=False).estimate(drawn("loop-15"))
     assert "odometry noise floored at 0.0001 (m, rad) in 400 of 400 steps" in loop.message
     assert "floored" not in GtsamBatch(marginals=False).estimate(drawn("cloister")).message
-    unsure = small((scanner(),), Prior(START.mean, np.diag([0, 0, 0.04])))
-    assert "prior noise floored" in GtsamBatch(marginals=False).estimate(unsure).message
+    dataset = problem(scanner())
+    unsure = Prior(dataset.prior.mean, np.diag([0, 0, 0.04]))
+    dataset = replace(dataset, robots=(replace(dataset.robot, prior=unsure),))
+    assert "prior noise floored" in GtsamBatch(marginals=False).estimate(dataset).message
 
 
 # iSAM2 step by step -------------------------------------------------------------------------------
@@ -318,7 +216,7 @@ def test_the_options_of_isam2_reach_it():
 
 
 def test_covariances_are_left_out_on_request():
-    dataset = small((scanner(),))
+    dataset = problem(scanner())
     batch, isam2 = GtsamBatch(marginals=False), GtsamIsam2(marginals=False)
     for estimate in (batch.estimate(dataset), isam2.estimate(dataset)):
         for trajectory in estimate.series.values():
@@ -330,7 +228,7 @@ def test_covariances_are_left_out_on_request():
 
 
 def test_dead_reckoning_is_the_prediction_alone():
-    dataset = small((scanner(),))
+    dataset = problem(scanner())
     estimate = DeadReckoning().estimate(dataset)
     pose, P = dataset.prior.mean, dataset.prior.covariance
     deltas, noise = dataset.robot.increments
@@ -348,17 +246,29 @@ def test_dead_reckoning_is_the_prediction_alone():
 
 
 def test_association_of_an_estimate_is_what_it_used():
-    decision = [Decision.NEW, Decision.ACCEPTED, Decision.REJECTED, Decision.AMBIGUOUS]
-    met = Innovations(np.array(decision), np.array([4, 4, 5, 6]), np.zeros((4, 2)), np.eye(2))
-    association = Association.of(Estimate("a", "b", association="nearest", innovations=met))
-    assert association.landmark.tolist() == [4, 4, -1, -1]
+    """Also what it kept for later, and robots; not landmarks that it deleted on the way."""
+    decision = [
+        *(Decision.NEW, Decision.ACCEPTED, Decision.REJECTED, Decision.AMBIGUOUS),
+        *(Decision.TENTATIVE, Decision.DELAYED, Decision.NEW, Decision.ACCEPTED),
+        *(Decision.NEW, Decision.ACCEPTED, Decision.REJECTED),
+    ]
+    landmark = np.array([4, 4, 5, 6, 7, 8, 9, 9, 10, -1, -1])  # the last two show robots
+    nan = np.full(11, np.nan)
+    met = Innovations(np.array(decision), landmark, nan, nan)
+    final = LandmarkEstimates(np.array([4, 8]), np.zeros((2, 2)), undetermined=np.array([10]))
+    start = Estimate("ekf", "b", association="nearest", innovations=met, landmarks=final)
+    association = Association.of(start)
+    assert association.landmark.tolist() == [4, 4, -1, -1, -1, 8, -1, -1, 10, -1, -1]
+    assert association.robots.tolist() == 9 * [False] + [True, False]
+    assert association.rows.tolist() == [0, 1, 5, 8, 9]
     assert association.name == "nearest"
+    assert association.notes == ("1 landmarks not in the final map of ekf: left out",)
     with pytest.raises(UnsupportedError, match="made no associations"):
         Association.of(DeadReckoning().estimate(drawn("cloister")))
 
 
 def test_a_landmark_without_a_usable_sighting_is_not_in_the_graph():
-    dataset = small((scanner(),))
+    dataset = problem(scanner())
     blank = np.where(dataset.observations.landmark == 8, -1, dataset.observations.landmark)
     some = replace(dataset, observations=replace(dataset.observations, landmark=blank))
     named = Ekf(association="known")
@@ -369,8 +279,8 @@ def test_a_landmark_without_a_usable_sighting_is_not_in_the_graph():
         assert estimate.status == OK
         assert estimate.landmarks.ids.tolist() == [3, 5, 13, 21]
         assert estimate.graph_dof == 2 * (blank >= 0).sum() - 2 * 4
-    association = Association(blank, "known")
-    assert len(LandmarkGraph(some, association).step(0)) == 1 + 4
+    graphed = LandmarkGraph(some, Association.known(some))
+    assert graphed.rows.tolist() == np.flatnonzero(blank >= 0).tolist()
 
 
 def test_without_names_both_smoothers_take_the_decisions_of_the_filter():
@@ -394,7 +304,7 @@ def test_a_start_with_names_of_its_own_brings_its_associations():
 
 
 def test_without_sightings_the_optimum_is_dead_reckoning():
-    dataset = small((scanner(),))
+    dataset = problem(scanner())
     blind = replace(dataset, observations=Observations([], np.zeros((0, 2))), true_landmark=None)
     expected = DeadReckoning().estimate(blind)
     for smoother in (GtsamBatch(), GtsamIsam2()):
@@ -429,7 +339,7 @@ def test_another_failure_of_gtsam_is_a_row_in_its_words(monkeypatch):
         raise RuntimeError("out of\n  patience")
 
     monkeypatch.setattr(gtsam, "Marginals", fail)
-    estimate = GtsamBatch().estimate(small((scanner(),)))
+    estimate = GtsamBatch().estimate(problem(scanner()))
     assert estimate.status == FAILED
     assert estimate.message == "out of patience"
 
@@ -442,18 +352,18 @@ def test_stopping_early_is_told():
 
 def test_a_start_without_a_map_is_no_start():
     with pytest.raises(UnsupportedError, match="dead-reckoning offers nothing to start from"):
-        GtsamBatch(initial=DeadReckoning()).estimate(small((scanner(),)))
+        GtsamBatch(initial=DeadReckoning()).estimate(problem(scanner()))
 
 
 def test_a_start_that_diverged_is_a_failure():
     lost = Estimate("lost", "small", online=Trajectory(np.full((10, 3), np.nan)))
-    estimate = GtsamBatch(initial=lost).estimate(small((scanner(),)))
+    estimate = GtsamBatch(initial=lost).estimate(problem(scanner()))
     assert (estimate.status, estimate.message) == (FAILED, "the start, lost, is not finite")
     assert estimate.smoothed is None
 
 
 def test_a_smoother_says_which_association_it_took():
-    data = replace(small((scanner(),)), true_landmark=None)
+    data = replace(problem(scanner()), true_landmark=None)
     for estimator in (GtsamBatch(marginals=False), GtsamIsam2(marginals=False)):
         made = estimator.estimate(data).innovations
         np.testing.assert_array_equal(made.landmark, data.observations.landmark)
