@@ -164,9 +164,8 @@ def _sigmas(values: Sequence[float], name: str) -> Array:
 
 def _by_time(ranges: Array) -> Array:
     """Ranges in the order of time; of one beacon, one at a time."""
-    ranges = ranges[np.argsort(ranges[:, 0], kind="stable")]
     _, first = np.unique(ranges[:, [0, 2]], axis=0, return_index=True)
-    return ranges[np.sort(first)]
+    return ranges[first]
 
 
 def _read(path: Path) -> dict[str, Array]:
