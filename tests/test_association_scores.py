@@ -272,13 +272,13 @@ def test_without_decisions_or_map_only_the_true_ones_are_counted():
 
 
 def test_sightings_of_robots_are_left_out():
-    data = dataset_of([3, -1, 3])
+    data = dataset_of([3, 3, 3])  # whatever the truth says in the row of a robot
     robots = (data.robot, replace(data.robot, name="other"))
     seen = replace(data.observations, observed_robot=np.array([-1, 1, -1]))
     data = replace(data, robots=robots, observations=seen)
     scores = association_scores(data, estimate_of("N0 A A0"))
     assert rows(scores.scored) == [0, 2]
-    assert rows(scores.accepted) == rows(scores.correct) == [2]
+    assert rows(scores.accepted) == rows(scores.correct) == rows(scores.mapped) == [2]
     assert scores.precision == 1.0
 
 

@@ -220,7 +220,7 @@ def team(**changes):
     return small(
         robots=(one, other),
         sensors=(Sensor("range-bearing", NOISE, mount=MOUNT), Sensor("xy", NOISE)),
-        observations=replace(seen, robot=[0, 1, 0, 1], sensor=[0, 1, 0, 1]),
+        observations=replace(seen, robot=[0, 1, 1, 0], sensor=[0, 1, 1, 0]),
         **changes,
     )
 
@@ -257,18 +257,18 @@ def test_each_robot_has_vertices_of_its_own_and_they_share_the_landmarks(path):
             assert (k + first, j - 4 + 8) == other[:2]
             np.testing.assert_array_equal(point, other[2])
             np.testing.assert_array_equal(information, other[3])
-    # Landmark 17 is first seen by the first robot, landmark 4 in row 2 by the first as well.
-    write_g2o(data, path)
-    one = small()
-    write_g2o(one, path.with_suffix(".one"))
-    assert [row[1:] for row in both["VERTEX_XY"]] == [
-        row[1:] for row in read(path.with_suffix(".one"))["VERTEX_XY"]
-    ]
+    # Landmark 4 is first seen by the second robot, at its second pose; landmark 17 by the first.
+    other = data.robots[1]
+    pose = chained(other.prior.mean, other.controls[0])
+    seen = pose[:2] + turn(pose[2]) @ data.observations.values[2]
+    np.testing.assert_allclose(both["VERTEX_XY"][0][1:], seen, atol=1e-14)
+    write_g2o(small(), path)
+    assert both["VERTEX_XY"][1][1:] == read(path)["VERTEX_XY"][1][1:]
 
 
 def test_what_g2o_has_no_word_for_is_unsupported(path):
     seen = team().observations
-    meeting = replace(seen, landmark=[17, 17, 4, -1], observed_robot=np.array([-1, -1, -1, 0]))
+    meeting = replace(seen, landmark=[17, 17, 4, -1], observed_robot=np.array([-1, -1, -1, 1]))
     with pytest.raises(UnsupportedError, match="small cannot be written as g2o: robots see robots"):
         write_g2o(replace(team(), observations=meeting), path)
     for kind in ("bearing", "range"):

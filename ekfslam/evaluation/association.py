@@ -118,7 +118,7 @@ def association_scores(dataset: Dataset, estimate: Estimate) -> AssociationScore
         founded,
         accepted,
         correct,
-        correct | (scored & _mapped(lives, origin)),
+        correct | _mapped(lives, origin),
         founded & (origin < 0),
         merging,
     )

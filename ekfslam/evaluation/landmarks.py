@@ -89,7 +89,7 @@ def origins(dataset: Dataset) -> np.ndarray | None:
     where neither is known.
     """
     if dataset.true_landmark is not None:
-        return dataset.true_landmark
+        return np.where(dataset.observed_robot < 0, dataset.true_landmark, NO_LANDMARK)
     return dataset.observations.landmark if dataset.association_known else None
 
 

@@ -202,7 +202,7 @@ def _draw_truth(axes: Axes, paths: list[Array], landmarks: Array) -> None:
 
 
 def _draw_ends(axes: Axes, paths: list[tuple[Array, str]]) -> None:
-    """Mark where each path starts, which is the same place but for smoothing, and where it ends."""
+    """Mark where each path starts, for one robot the same place but for smoothing, and ends."""
     edge: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 0.5, "zorder": 6}
     starts = np.array([path[0] for path, _ in paths]).reshape(-1, 2)
     axes.plot(*starts.T, ">", color=TRUTH, markersize=5, label="start", **edge)
