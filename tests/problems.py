@@ -44,6 +44,7 @@ def problem(
     meet: Any = (),
     known_start: bool = False,
     steps: int = 9,
+    turn: float = 1.0,
     landmarks: LandmarkMap = MAP,
     noise: float = 1.0,
     seed: int = 0,
@@ -60,6 +61,8 @@ def problem(
         Sensors that see the other robots too.
     known_start : bool
     steps : int
+    turn : float
+        Factor on the turns; 0 goes straight on.
     landmarks : LandmarkMap
     noise : float
         Standard deviations that are drawn, over those that are stated.
@@ -72,7 +75,7 @@ def problem(
 
     crew = []
     for index in range(robots):
-        turns = np.roll(np.resize([1.2, -0.8, 0.9], steps), index)
+        turns = turn * np.roll(np.resize([1.2, -0.8, 0.9], steps), index)
         controls = np.column_stack([np.full((steps, 2), [0.8, 0.2]), turns])
         truth = geo.integrate(STARTS[index], controls)
         prior = Prior(truth[0])
@@ -134,10 +137,18 @@ def near(dataset: Dataset, rng: Any = None, size: float = 0.0) -> Estimate:
 def rows_kept(dataset: Dataset, keep: Any) -> Dataset:
     """A dataset with some of its observations."""
     columns = {f.name: getattr(dataset.observations, f.name) for f in fields(Observations)}
-    kept = {name: c if c is None else c[keep] for name, c in columns.items()}
-    return replace(
-        dataset, observations=Observations(**kept), true_landmark=dataset.true_landmark[keep]
+    kept = Observations(**{name: c if c is None else c[keep] for name, c in columns.items()})
+    return replace(dataset, observations=kept, true_landmark=dataset.true_landmark[keep])
+
+
+def first_steps(dataset: Dataset, count: int) -> Dataset:
+    """The first poses of a dataset, with what was seen from them."""
+    robots = tuple(
+        replace(robot, controls=robot.controls[: count - 1], truth=robot.truth[:count])
+        for robot in dataset.robots
     )
+    start = rows_kept(dataset, dataset.observations.step < count)
+    return replace(start, robots=robots, times=dataset.times[:count])
 
 
 class DenseSmoother:
