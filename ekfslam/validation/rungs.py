@@ -24,6 +24,9 @@ from ekfslam.estimates import (
     Trajectory,
 )
 from ekfslam.geometry import Array
+from ekfslam.models.landmarks import inverse_depth, observe_inverse_depth, to_point
+from ekfslam.models.motion import MotionModel
+from ekfslam.models.sensors import BEARING, Sensor
 from ekfslam.registry import Estimator, linear_oracle, resolve
 from ekfslam.simulation import load_scenario, simulate
 
@@ -79,13 +82,29 @@ def _worst(parts: dict[str, Any], subject: str = "largest in") -> Measurement:
     return Measurement(sizes[name], f"{subject} {name}")
 
 
-def _by_id(landmarks: LandmarkEstimates, ids: np.ndarray) -> np.ndarray:
-    """Positions in the landmarks of the given identities."""
-    where = {int(landmark): i for i, landmark in enumerate(landmarks.ids)}
+def _by_id(known: np.ndarray, ids: np.ndarray, whose: str = "the estimate") -> np.ndarray:
+    """Where each of some identities is among the known ones."""
+    where = {int(landmark): i for i, landmark in enumerate(known)}
     missing = [int(i) for i in ids if int(i) not in where]
     if missing:
-        raise RuntimeError(f"landmark {missing[0]} is missing in the estimate")
+        raise RuntimeError(f"landmark {missing[0]} is missing in {whose}")
     return np.array([where[int(i)] for i in ids], dtype=np.int64)
+
+
+def _undetermined(landmarks: LandmarkEstimates) -> tuple[np.ndarray, Array]:
+    """Identities and parameters of the landmarks of open distance, none if there are none."""
+    if landmarks.undetermined is None or landmarks.inverse_depth is None:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 4))
+    return landmarks.undetermined, landmarks.inverse_depth
+
+
+def _needs_points(dataset: Dataset) -> None:
+    """Refuse bearings alone, for what they start rests on a prior that is not small as noise is."""
+    for sensor in dataset.sensors:
+        if sensor.view.code == BEARING:
+            raise UnsupportedError(
+                f"bearings alone rest on a prior of the distance, whatever the noise: {sensor.name}"
+            )
 
 
 # 1 ----------------------------------------------------------------------------------------------
@@ -107,31 +126,77 @@ def central_differences(function: Callable[[Array], Array], point: Array) -> Arr
 def jacobians(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -> Measurement:
     """Compare every Jacobian that the filter used with central differences of the models."""
     _, linear = _linearizations(subject, dataset)
-    deltas = dataset.moves.deltas
+    before, after = (part.reshape(-1, 3) for part in (linear.motion_from, linear.motion_to))
+    deltas = dataset.moves.deltas.reshape(-1, 3)
     numeric = central_differences(
-        lambda pose: geo.additive_error(linear.motion_to, geo.compose(pose, deltas)),
-        linear.motion_from,
+        lambda pose: geo.additive_error(after, geo.compose(pose, deltas)), before
     )
-    deviations = {"the motion": numeric - linear.motion_jacobian}
-    sensor_of = dataset.observations.sensor[linear.row]
-    values = dataset.observations.values[linear.row]
+    deviations = {"the motion": numeric - linear.motion_jacobian.reshape(-1, 3, 3)}
+    sensor_of = np.where(linear.row < 0, -1, dataset.observations.sensor[linear.row])
     for index, sensor in enumerate(dataset.sensors):
-        seen = (sensor_of == index) & ~linear.new
-        expected = sensor.observe(linear.point[seen, :3], linear.point[seen, 3:])[0]
-
-        def observe(point: Array, sensor: Any = sensor, expected: Array = expected) -> Array:
-            return sensor.difference(sensor.observe(point[:, :3], point[:, 3:])[0], expected)
-
-        numeric = central_differences(observe, linear.point[seen])
-        deviations[f"observations of the {sensor.name}"] = numeric - linear.jacobian[seen]
-        new = (sensor_of == index) & linear.new
-
-        def locate(pose: Array, sensor: Any = sensor, new: np.ndarray = new) -> Array:
-            return sensor.locate(pose, values[new])[0]
-
-        numeric = central_differences(locate, linear.point[new, :3])
-        deviations[f"new landmarks of the {sensor.name}"] = numeric - linear.jacobian[new, :, :3]
+        mine = sensor_of == index
+        for size in np.unique(linear.size[mine]).tolist():
+            for event, words, compare in (
+                (linear.OBSERVED, "observations of", _observed),
+                (linear.CREATED, "new landmarks of", _created),
+            ):
+                # One that waited for others to determine it has no equation of its own.
+                rows = mine & (linear.event == event) & (linear.size == size) & (linear.rows > 0)
+                if rows.any():
+                    deviation = compare(dataset, linear, rows, sensor, size)
+                    deviations[f"{words} the {sensor.name} ({size} coordinates)"] = deviation
+    rows = linear.event == linear.CONVERTED
+    direction = linear.point[rows, 3:]
+    place = to_point(direction)[0]
+    numeric = central_differences(lambda landmark: to_point(landmark)[0] - place, direction)
+    deviations["conversions to points"] = numeric - linear.jacobian[rows, :2, 3:]
     return _worst(deviations)
+
+
+def _observed(
+    dataset: Dataset, linear: Linearizations, rows: np.ndarray, sensor: Sensor, size: int
+) -> Array:
+    """Deviations of direct models, with respect to pose and target."""
+
+    def observe(point: Array) -> Array:
+        pose, target = point[:, :3], point[:, 3:]
+        if size == 4:
+            return observe_inverse_depth(sensor, pose, target)[0]
+        return sensor.observe(pose, target[:, :2])[0]  # of a robot, the position is seen
+
+    point = linear.point[rows, : 3 + size]
+    expected = observe(point)
+    numeric = central_differences(lambda moved: sensor.difference(observe(moved), expected), point)
+    return numeric - linear.jacobian[rows, : sensor.view.size, : 3 + size]
+
+
+def _created(
+    dataset: Dataset, linear: Linearizations, rows: np.ndarray, sensor: Sensor, size: int
+) -> Array:
+    """Deviations of inverse models, with respect to the pose.
+
+    A landmark of infinite uncertainty is put in without regard to the pose.
+    """
+    rows = rows & linear.jacobian.any(axis=(1, 2))
+    pose, created = linear.point[rows, :3], linear.point[rows, 3 : 3 + size]
+    values = dataset.observations.values[linear.row[rows], : sensor.view.size]
+    if size == 4:
+        place = inverse_depth(sensor, pose, values, created[:, 3])[0]
+    elif sensor.view.back_project is not None:
+        place = sensor.locate(pose, values)[0]
+    else:  # a naive prior has put the point where it is in the sensor's frame
+        local = geo.to_frame(geo.compose(pose, sensor.mount), created)
+
+    def locate(moved: Array) -> Array:
+        if size == 4:
+            there = inverse_depth(sensor, moved, values, created[:, 3])[0] - place
+            there[:, 2] = geo.wrap(there[:, 2])
+            return there
+        if sensor.view.back_project is not None:
+            return sensor.locate(moved, values)[0] - place
+        return geo.from_frame(geo.compose(moved, sensor.mount), local) - created
+
+    return central_differences(locate, pose) - linear.jacobian[rows, :size, :3]
 
 
 # 2 ----------------------------------------------------------------------------------------------
@@ -139,15 +204,15 @@ def jacobians(subject: Estimator, dataset: Dataset, scenario: str, seed: int) ->
 
 def zero_noise(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -> Measurement:
     """Estimate data drawn without noise (which still state theirs) and compare with the truth."""
+    _needs_points(dataset)
     clean = simulate(scenario, seed=seed, draw=0.0)
     _, trajectory, landmarks = _estimate(subject, clean)
-    assert clean.truth is not None
     assert clean.true_map is not None
-    deviations = {"the poses": geo.additive_error(clean.truth, trajectory.poses)}
+    truth = np.array([robot.truth for robot in clean.robots]).reshape(trajectory.poses.shape)
+    deviations = {"the poses": geo.additive_error(truth, trajectory.poses)}
     if len(landmarks):
-        truth = dict(zip(clean.true_map.ids.tolist(), clean.true_map.positions, strict=True))
-        true_positions = np.array([truth[int(i)] for i in landmarks.ids])
-        deviations["the landmarks"] = landmarks.positions - true_positions
+        true = clean.true_map.positions[_by_id(clean.true_map.ids, landmarks.ids, "the world")]
+        deviations["the landmarks"] = landmarks.positions - true
     return _worst(deviations)
 
 
@@ -160,15 +225,25 @@ def oracle(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -> Me
     joint, trajectory, landmarks = estimate.joint_covariance, estimate.online, estimate.landmarks
     if joint is None or trajectory is None or landmarks is None:
         raise UnsupportedError("needs the joint covariance of final pose and landmarks")
-    solution = linear_oracle()(dataset.prior, linear)
-    order = _by_id(landmarks, solution.ids)
-    rows = np.concatenate([np.arange(3), (3 + 2 * order[:, None] + np.arange(2)).reshape(-1)])
-    covariance = joint[np.ix_(rows, rows)] - solution.covariance
+    solution = linear_oracle()([robot.prior for robot in dataset.robots], linear)
+    open_ids, directions = _undetermined(landmarks)
+    # The oracle also knows the landmarks that the filter has deleted.
+    points = _by_id(solution.ids, landmarks.ids, "the linear oracle")
+    beyond = _by_id(solution.undetermined, open_ids, "the linear oracle")
+    poses = solution.poses.size
+    first = poses + 2 * len(solution.ids)
+    places = poses + 2 * points[:, None] + np.arange(2), first + 4 * beyond[:, None] + np.arange(4)
+    rows = np.concatenate([np.arange(poses), *(place.reshape(-1) for place in places)])
+    covariance = solution.covariance[np.ix_(rows, rows)]
+    ahead = directions - solution.inverse_depth[beyond]
+    ahead[:, 2] = geo.wrap(ahead[:, 2])
+    final = trajectory.poses[..., -1, :].reshape(-1, 3)
     return _worst(
         {
-            "the final pose": geo.additive_error(solution.pose, trajectory.poses[-1]),
-            "the landmarks": landmarks.positions[order] - solution.positions,
-            "the joint covariance (relative)": covariance / np.abs(solution.covariance).max(),
+            "the final poses": geo.additive_error(solution.poses, final),
+            "the landmarks": landmarks.positions - solution.positions[points],
+            "the inverse depths": ahead,
+            "the joint covariance (relative)": (joint - covariance) / np.abs(covariance).max(),
         }
     )
 
@@ -181,9 +256,14 @@ def rigid_motion(subject: Estimator, dataset: Dataset, scenario: str, seed: int)
     _, here, map_here = _estimate(subject, dataset)
     _, there, map_there = _estimate(subject, dataset.moved(RIGID_MOTION))
     moved = geo.from_frame(RIGID_MOTION, map_here.positions)
+    (ids, ahead), (ids_there, ahead_there) = map(_undetermined, (map_here, map_there))
+    turned = np.concatenate([geo.compose(RIGID_MOTION, ahead[:, :3]), ahead[:, 3:]], axis=1)
+    beyond = turned - ahead_there[_by_id(ids_there, ids)]
+    beyond[:, 2] = geo.wrap(beyond[:, 2])
     deviations = {
         "the poses": geo.additive_error(geo.compose(RIGID_MOTION, here.poses), there.poses),
-        "the landmarks": moved - map_there.positions[_by_id(map_there, map_here.ids)],
+        "the landmarks": moved - map_there.positions[_by_id(map_there.ids, map_here.ids)],
+        "the inverse depths": beyond,
     }
     if here.covariances is not None and there.covariances is not None:
         turned = geo.congruence(geo.heading_block(RIGID_MOTION[2]), here.covariances)
@@ -201,9 +281,13 @@ def small_noise(subject: Estimator, dataset: Dataset, scenario: str, seed: int) 
     An EKF differs from the smoother in second order only; a wrong Jacobian or a wrong noise shows
     in first order, also where the filter's own linearisations hide it.
     """
+    _needs_points(dataset)
     regular = load_scenario(scenario)
-    motion = replace(regular.motion, slip=max(SLIP, regular.motion.slip))
-    regular = replace(regular, motion=motion)
+    regular = replace(
+        regular,
+        motion=_with_slip(regular.motion),
+        team=tuple(replace(plan, motion=_with_slip(plan.motion)) for plan in regular.team),
+    )
     gaps = []
     for scale in SCALES:
         draws = [simulate(regular, seed=seed + i, noise=scale) for i in range(DRAWS)]
@@ -219,15 +303,19 @@ def small_noise(subject: Estimator, dataset: Dataset, scenario: str, seed: int) 
     return Measurement(float(exponent), f"gaps {listed} m at noise {scales}")
 
 
+def _with_slip(motion: MotionModel) -> MotionModel:
+    return replace(motion, slip=max(SLIP, motion.slip))
+
+
 def _gap(subject: Estimator, data: Dataset) -> float:
-    """Root mean square distance to the batch of the final position and the landmarks [m]."""
+    """Root mean square distance to the batch of the final positions and the landmarks [m]."""
     _, ours, landmarks = _estimate(subject, data)
     if not len(landmarks):
         raise UnsupportedError("needs an estimator of landmarks")
     _, best, best_landmarks = _estimate(resolve("gtsam-batch", marginals=False), data)
-    final = ours.poses[-1, :2] - best.poses[-1, :2]
-    shared = best_landmarks.positions[_by_id(best_landmarks, landmarks.ids)]
-    apart = np.concatenate([final[None], landmarks.positions - shared])
+    final = (ours.poses - best.poses)[..., -1, :2].reshape(-1, 2)
+    shared = best_landmarks.positions[_by_id(best_landmarks.ids, landmarks.ids)]
+    apart = np.concatenate([final, landmarks.positions - shared])
     return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
 
