@@ -1,17 +1,13 @@
-"""The hot loops against geometry, the sensor models and dense algebra, compiled and as Python."""
+"""The operations on one triangle of the covariance against dense algebra; compiled and not."""
 
 import numpy as np
 import pytest
 
 from ekfslam import geometry as geo
 from ekfslam.filters import kernels
-from ekfslam.models.sensors import Sensor
 
-SENSORS = [
-    Sensor(kind, [[0.04, 0.006], [0.006, 0.01]], mount=mount)
-    for kind in ("range-bearing", "xy")
-    for mount in ([0, 0, 0], [0, 0, 2.5], [0.7, -0.3, -1.9])
-]
+ROBOTS = [1, 3]
+SIZES = [2, 3, 4]
 
 
 @pytest.fixture(params=["compiled", "python"])
@@ -45,19 +41,20 @@ def dense(storage, n):
     return upper + np.triu(upper, 1).T
 
 
-def state(rng, landmarks, room=4):
+def state(rng, landmarks, robots=1, room=4):
     """A random map: mean, storage, dimension and covariance."""
-    n = 3 + 2 * landmarks
+    n = 3 * robots + 2 * landmarks
     mean = np.full(n + room, np.nan)
     mean[:n] = rng.normal(size=n)
     P = covariance(rng, n)
     return mean, stored(P, room), n, P
 
 
-def wide(H, offset, n):
-    """A Jacobian (2, 5) with a column for every coordinate of the state."""
-    full = np.zeros((2, n))
-    full[:, :3], full[:, offset : offset + 2] = H[:, :3], H[:, 3:]
+def wide(H, pose, at, n):
+    """A Jacobian of (pose, target) with a column for every coordinate of the state."""
+    full = np.zeros((len(H), n))
+    full[:, pose : pose + 3] += H[:, :3]
+    full[:, at : at + H.shape[1] - 3] += H[:, 3:]
     return full
 
 
@@ -66,7 +63,11 @@ def close(actual, expected, scale=1.0):
     np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-13 * max(scale, 1.0))
 
 
-# Models -----------------------------------------------------------------------------------------
+def assert_nothing_below(storage, n):
+    """Below the diagonal, and outside of the state, nothing was written."""
+    assert np.isnan(storage[:n, :n][np.tril_indices(n, -1)]).all()
+    assert np.isnan(storage[n:]).all()
+    assert np.isnan(storage[:, n:]).all()
 
 
 def test_wrap_is_that_of_geometry_to_the_bit(kernel):
@@ -76,68 +77,61 @@ def test_wrap_is_that_of_geometry_to_the_bit(kernel):
     np.testing.assert_array_equal([kernel("wrap")(a) for a in angles], geo.wrap(angles))
 
 
-@pytest.mark.parametrize("sensor", SENSORS, ids=lambda s: f"{s.kind} {s.mount}")
-def test_expect_is_the_direct_model(kernel, sensor, rng):
-    for _ in range(20):
-        pose, landmark = rng.normal(size=3) * [5, 5, 3], rng.normal(size=2) * 10
-        expected, H = np.full(2, np.nan), np.full((2, 5), np.nan)
-        kernel("expect")(sensor.view.code, sensor.mount.copy(), pose, landmark, expected, H)
-        value, wrt_pose, wrt_point = sensor.observe(pose, landmark)
-        close(sensor.difference(expected, value), 0, 20)
-        close(H, np.concatenate([wrt_pose, wrt_point], axis=1), 20 + np.abs(wrt_pose).max() ** 2)
+# Robot motion -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sensor", SENSORS[::3], ids=lambda s: s.kind)
-def test_innovation_wraps_bearings_and_nothing_else(kernel, sensor):
-    for value, expected in (([4.0, 3.1], [9.0, -3.1]), ([9.0, -3.1], [1.0, 3.1]), ([0, 7], [7, 0])):
-        innovation = np.full(2, np.nan)
-        value, expected = np.array(value, dtype=float), np.array(expected, dtype=float)
-        kernel("innovate")(sensor.view.code, value, expected, innovation)
-        np.testing.assert_array_equal(innovation, sensor.difference(value, expected))
-
-
-@pytest.mark.parametrize("sensor", SENSORS, ids=lambda s: f"{s.kind} {s.mount}")
-def test_locate_is_the_inverse_model_with_mapped_noise(kernel, sensor, rng):
-    for _ in range(20):
-        pose, value = rng.normal(size=3) * [5, 5, 3], rng.normal(size=2) * [10, 2]
-        point, G = np.full(2, np.nan), np.full((2, 5), np.nan)
-        R = covariance(rng, 2)
-        kernel("locate")(sensor.view.code, sensor.mount.copy(), pose, value, R, point, G)
-        landmark, wrt_pose, wrt_value = sensor.locate(pose, value)
-        close(point, landmark, 50)
-        close(G[:, :3], wrt_pose, 50)
-        close(G[:, 3:], wrt_value @ R @ wrt_value.T, 10 * np.abs(wrt_value).max() ** 2)
-        np.testing.assert_array_equal(G[0, 4], G[1, 3])
-
-
-# The four operations of the map -----------------------------------------------------------------
+@pytest.mark.parametrize("size", [1, 2, 3, 4, 5])
+def test_add_rows_reads_one_triangle_at_any_offset(kernel, size, rng):
+    n = 11
+    P = covariance(rng, n)
+    storage = stored(P)
+    for at in range(n - size + 1):
+        weights, start = rng.normal(size=size), rng.normal(size=n)
+        out = np.append(start, np.nan)
+        kernel("add_rows")(storage, n, at, size, weights, out)
+        close(out[:n], start + weights @ P[at : at + size], 10)
+        assert np.isnan(out[n])
 
 
 @pytest.mark.parametrize("landmarks", [0, 1, 4])
-def test_move_is_the_dense_prediction(kernel, landmarks, rng):
-    mean, storage, n, P = state(rng, landmarks)
-    mean[2] = 3.0  # turns on through pi
-    before, delta, Q = mean.copy(), np.array([0.8, -0.3, 0.4]), covariance(rng, 3)
-    kernel("move")(mean, storage, n, delta, Q)
-    F, G = np.eye(n), np.zeros((n, 3))
-    F[:3, :3], G[:3] = geo.compose_jacobians(before[:3], delta)
-    close(mean[:3], geo.compose(before[:3], delta))
-    np.testing.assert_array_equal(mean[3:], before[3:])
-    close(dense(storage, n), F @ P @ F.T + G @ Q @ G.T, 10)
+@pytest.mark.parametrize("robots", ROBOTS)
+def test_move_is_the_dense_prediction(kernel, landmarks, robots, rng):
+    for robot in range(robots):
+        mean, storage, n, P = state(rng, landmarks, robots)
+        at = slice(3 * robot, 3 * robot + 3)
+        mean[3 * robot + 2] = 3.0  # turns on through pi
+        before, delta, Q = mean.copy(), np.array([0.8, -0.3, 0.4]), covariance(rng, 3)
+        kernel("move")(mean, storage, n, 3 * robot, delta, Q)
+        F, G = np.eye(n), np.zeros((n, 3))
+        F[at, at], G[at] = geo.compose_jacobians(before[at], delta)
+        close(mean[at], geo.compose(before[at], delta))
+        others = np.delete(np.arange(n), np.arange(n)[at])
+        np.testing.assert_array_equal(mean[others], before[others])
+        close(dense(storage, n), F @ P @ F.T + G @ Q @ G.T, 10)
+        assert_nothing_below(storage, n)
 
 
-@pytest.mark.parametrize("position", [0, 1, 3])
-def test_project_reads_one_triangle(kernel, position, rng):
-    _, storage, n, P = state(rng, 4)
-    offset, H = 3 + 2 * position, rng.normal(size=(2, 5))
-    rows = np.full((2, n + 1), np.nan)
-    kernel("project")(storage, n, offset, H, rows)
-    close(rows[:, :n], wide(H, offset, n) @ P, 10)
+# Map correction -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("d", [1, 2])
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(("pose", "at"), [(0, 3), (0, 9), (6, 0), (3, 7), (9, 5), (3, 9)])
+def test_project_reads_one_triangle(kernel, pose, at, size, d, rng):
+    n = 13
+    P = covariance(rng, n)
+    storage, H = stored(P), rng.normal(size=(d, 3 + size))
+    rows = np.full((d, n + 1), np.nan)
+    kernel("project")(storage, n, pose, at, size, H, d, rows)
+    expected = wide(H, pose, at, n) @ P
+    close(rows[:, :n], expected, 10)
     assert np.isnan(rows[:, n]).all()
-    other, G = 3 + 2 * (3 - position), rng.normal(size=(2, 5))
-    expected = wide(H, offset, n) @ P @ wide(G, other, n).T
-    product = [[kernel("times_transposed")(rows[a], other, G, b) for b in (0, 1)] for a in (0, 1)]
-    close(product, expected, 50)
+    G = rng.normal(size=(2, 5))
+    other = wide(G, pose, 7, n)
+    product = [
+        [kernel("times_transposed")(rows[a], pose, 7, 2, G, b) for b in (0, 1)] for a in range(d)
+    ]
+    close(product, expected @ other.T, 50)
 
 
 @pytest.mark.parametrize("m", [1, 2, 5, 8])
@@ -158,7 +152,7 @@ def test_cholesky_refuses_what_is_not_positive_definite(kernel, bad):
     assert not kernel("cholesky")(S, 3)
 
 
-@pytest.mark.parametrize("m", [2, 4, 6, 8, 10])
+@pytest.mark.parametrize("m", [1, 2, 3, 4, 5, 6, 7, 8, 11])
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 8, 9, 33])
 def test_downdate_for_every_remainder_of_the_unrolled_loops(kernel, n, m, rng):
     P, W = covariance(rng, n), rng.normal(size=(m + 1, n + 1))
@@ -166,85 +160,98 @@ def test_downdate_for_every_remainder_of_the_unrolled_loops(kernel, n, m, rng):
     storage = stored(P)
     kernel("downdate")(storage, W, m, n)
     close(dense(storage, n), P - W[:m, :n].T @ W[:m, :n], 50)
-    assert np.isnan(storage[np.tril_indices(n, -1)]).all()
-    assert np.isnan(storage[n:]).all()
-    assert np.isnan(storage[:, n:]).all()
+    assert_nothing_below(storage, n)
 
 
-@pytest.mark.parametrize("observed", [1, 3])
-def test_correct_is_the_dense_update(kernel, observed, rng):
-    mean, storage, n, P = state(rng, 4)
-    mean[2] = np.pi - 1e-3
-    before, m = mean.copy(), 2 * observed
-    H = np.concatenate([wide(rng.normal(size=(2, 5)), 3 + 2 * i, n) for i in range(observed)])
-    S = H @ P @ H.T + covariance(rng, m)
-    z = rng.normal(size=m)
+@pytest.mark.parametrize("rows", [1, 2, 6])
+@pytest.mark.parametrize("robots", ROBOTS)
+def test_correct_is_the_dense_update(kernel, rows, robots, rng):
+    mean, storage, n, P = state(rng, 4, robots)
+    before, H = mean.copy(), rng.normal(size=(rows, n))
+    S = H @ P @ H.T + covariance(rng, rows)
+    z = rng.normal(size=rows)
     K = P @ H.T @ np.linalg.inv(S)
-    nis = kernel("correct")(mean, storage, n, H @ P, np.tril(S), z.copy(), m)
+    nis = kernel("correct")(mean, storage, n, H @ P, np.tril(S), z.copy(), rows, robots)
     after = before[:n] + K @ z
-    after[2] = geo.wrap(after[2])
+    headings = 3 * np.arange(robots) + 2
+    after[headings] = geo.wrap(after[headings])
     close(mean[:n], after, 100)
     close(dense(storage, n), P - K @ S @ K.T, 100)
     close(nis, z @ np.linalg.solve(S, z), 100)
+    assert_nothing_below(storage, n)
 
 
-def test_correct_wraps_the_heading(kernel, rng):
-    mean, storage, n, P = state(rng, 0)
-    mean[2] = np.pi - 1e-3
-    S = np.diag([P[2, 2] + 0.1, 1.0])
-    rows = np.array([P[2], np.zeros(3)])
-    kernel("correct")(mean, storage, n, rows, S.copy(), np.array([0.5, 0.0]), 2)
-    gain = 0.5 * P[2, 2] / S[0, 0]
-    close(mean[2], np.pi - 1e-3 + gain - 2 * np.pi, 10)
+@pytest.mark.parametrize("robots", ROBOTS)
+def test_correct_wraps_every_heading_and_nothing_else(kernel, robots, rng):
+    """Gains of one: each coordinate rises by a half, those beyond pi included."""
+    mean, storage, n, _ = state(rng, 1, robots)
+    mean[:n] = np.pi - 1e-3
+    S, row = np.array([[1.0]]), np.full((1, n), 1.0)
+    kernel("correct")(mean, storage, n, row, S, np.array([0.5]), 1, robots)
+    wrapped = np.isin(np.arange(n), 3 * np.arange(robots) + 2)
+    expected = np.where(wrapped, -np.pi, np.pi) - 1e-3 + 0.5
+    close(mean[:n], expected)
 
 
 def test_a_refused_correction_leaves_the_map_alone(kernel, rng):
     mean, storage, n, _ = state(rng, 2)
     before, kept = mean.copy(), storage.copy()
     S = np.array([[1.0, 0.0], [2.0, 1.0]])  # eigenvalues 3 and -1
-    assert np.isnan(kernel("correct")(mean, storage, n, rng.normal(size=(2, n)), S, np.ones(2), 2))
+    rows = rng.normal(size=(2, n))
+    assert np.isnan(kernel("correct")(mean, storage, n, rows, S, np.ones(2), 2, 1))
     np.testing.assert_array_equal(mean, before)
     np.testing.assert_array_equal(storage, kept)
 
 
-@pytest.mark.parametrize("landmarks", [0, 1, 3])
-def test_append_is_the_dense_extension(kernel, landmarks, rng):
-    mean, storage, n, P = state(rng, landmarks)
-    noise = covariance(rng, 2)
-    G = np.concatenate([rng.normal(size=(2, 3)), noise], axis=1)
-    kernel("append")(mean, storage, n, np.array([7.0, 8.0]), G)
-    A = np.zeros((2, n))
-    A[:, :3] = G[:, :3]
-    np.testing.assert_array_equal(mean[n : n + 2], [7, 8])
+# Landmark initialization and deletion -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(("robots", "poses"), [(1, [0]), (3, [6]), (3, [3, 0]), (1, [5, 0])])
+@pytest.mark.parametrize("landmarks", [0, 2])
+def test_append_is_the_dense_extension(kernel, landmarks, robots, poses, size, rng):
+    """From one pose, or from two: of two robots, or one of them past."""
+    if 3 * robots + 2 * landmarks < max(poses) + 3:
+        landmarks += 3
+    mean, storage, n, P = state(rng, landmarks, robots)
+    noise, G = covariance(rng, size), rng.normal(size=(len(poses), size, 3))
+    new = rng.normal(size=size)
+    kernel("append")(mean, storage, n, np.array(poses), new, size, G, noise)
+    A = np.zeros((size, n))
+    for pose, block in zip(poses, G, strict=True):
+        A[:, pose : pose + 3] += block
+    np.testing.assert_array_equal(mean[n : n + size], new)
     expected = np.block([[P, P @ A.T], [A @ P, A @ P @ A.T + noise]])
-    close(dense(storage, n + 2), expected, 50)
-    assert np.isnan(storage[np.tril_indices(n + 2, -1)]).all()
+    close(dense(storage, n + size), expected, 50)
+    assert_nothing_below(storage, n + size)
 
 
-@pytest.mark.parametrize("position", [0, 1, 3])
-def test_remove_is_the_marginal_to_the_bit(kernel, position, rng):
-    mean, storage, n, P = state(rng, 4)
-    keep = np.delete(np.arange(n), [3 + 2 * position, 4 + 2 * position])
-    left = mean[keep].copy()
-    kernel("remove")(mean, storage, n, 3 + 2 * position, 2)
-    np.testing.assert_array_equal(mean[: n - 2], left)
-    np.testing.assert_array_equal(dense(storage, n - 2), P[np.ix_(keep, keep)])
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("robots", ROBOTS)
+def test_remove_is_the_marginal_to_the_bit(kernel, robots, size, rng):
+    n = 3 * robots + 8
+    for at in range(3 * robots, n - size + 1):
+        mean, storage, n, P = state(rng, 4, robots)
+        keep = np.delete(np.arange(n), at + np.arange(size))
+        left = mean[keep].copy()
+        kernel("remove")(mean, storage, n, at, size)
+        np.testing.assert_array_equal(mean[: n - size], left)
+        np.testing.assert_array_equal(dense(storage, n - size), P[np.ix_(keep, keep)])
 
 
-@pytest.mark.parametrize("sensor", SENSORS, ids=lambda s: f"{s.kind} {s.mount}")
-def test_distances_are_those_of_the_dense_innovation(kernel, sensor, rng):
-    mean, storage, n, P = state(rng, 3)
-    offsets, value = np.array([5, -1, 7, 3, 3]), np.array([2.0, 3.0])
-    out = np.full(6, np.nan)
-    arguments = sensor.view.code, sensor.mount.copy(), value, sensor.covariance.copy()
-    kernel("distances")(mean, storage, offsets, 4, *arguments, out)
-    for index, offset in enumerate(offsets[:4]):
-        if offset < 0:
-            assert out[index] == np.inf
-            continue
-        expected, wrt_pose, wrt_point = sensor.observe(mean[:3], mean[offset : offset + 2])
-        H = wide(np.concatenate([wrt_pose, wrt_point], axis=1), offset, n)
-        z = sensor.difference(value, expected)
-        distance = z @ np.linalg.solve(H @ P @ H.T + sensor.covariance, z)
-        np.testing.assert_allclose(out[index], distance, rtol=1e-10)
-    assert np.isnan(out[4:]).all()  # beyond count
+@pytest.mark.parametrize(("size", "new_size"), [(4, 2), (4, 3), (2, 2), (4, 4)])
+@pytest.mark.parametrize("robots", ROBOTS)
+def test_replace_is_the_dense_congruence(kernel, robots, size, new_size, rng):
+    """What stands before, between and behind keeps its place but for the room that is gone."""
+    for at in range(3 * robots, 3 * robots + 8 - size + 1):
+        mean, storage, n, P = state(rng, 4, robots)
+        before, J, new = mean[:n].copy(), rng.normal(size=(new_size, size)), rng.normal(size=4)
+        kernel("replace")(mean, storage, n, at, size, new[:new_size], new_size, J)
+        T = np.eye(n)
+        T[at : at + new_size] = 0.0
+        T[at : at + new_size, at : at + size] = J
+        keep = np.delete(np.arange(n), np.arange(at + new_size, at + size))
+        before[at : at + new_size] = new[:new_size]
+        left = len(keep)
+        np.testing.assert_array_equal(mean[:left], before[keep])
+        close(dense(storage, left), (T @ P @ T.T)[np.ix_(keep, keep)], 50)
