@@ -7,69 +7,94 @@ from ekfslam import geometry as geo
 from ekfslam.dataset import Prior
 from ekfslam.errors import EkfslamError, InputError
 from ekfslam.filters.gaussian_map import GaussianMap
+from ekfslam.models.landmarks import depth_prior, inverse_depth, observe_inverse_depth, to_point
 from ekfslam.models.sensors import Sensor
 
 Q = np.array([[4e-3, 1e-3, 0], [1e-3, 2e-3, -5e-4], [0, -5e-4, 1e-3]])
 SENSOR = Sensor("range-bearing", [[0.01, 0.001], [0.001, 0.004]], mount=[0.3, 0.1, 0.4])
+COMPASS = Sensor("bearing", [[0.001]], mount=[-0.2, 0.1, 1.0], min_range=1.0)
 PRIOR = Prior([1.0, -2.0, 3.0], [[0.04, 0.01, 0], [0.01, 0.09, 0.01], [0, 0.01, 0.01]])
 
 
 class DenseMap:
-    """The same four operations with full matrices."""
+    """The same operations with full matrices."""
 
-    def __init__(self, prior):
-        self.mean, self.covariance = prior.mean.copy(), prior.covariance.copy()
+    def __init__(self, *priors):
+        self.mean = np.concatenate([prior.mean for prior in priors])
+        self.robots = len(priors)
+        self.covariance = np.zeros((3 * self.robots, 3 * self.robots))
+        for robot, prior in enumerate(priors):
+            at = self.pose(robot)
+            self.covariance[at, at] = prior.covariance
 
-    def move(self, delta, covariance):
-        n = len(self.mean)
+    @staticmethod
+    def pose(robot):
+        return slice(3 * robot, 3 * robot + 3)
+
+    def move(self, delta, covariance, robot=0):
+        n, at = len(self.mean), self.pose(robot)
         F, G = np.eye(n), np.zeros((n, 3))
-        F[:3, :3], G[:3] = geo.compose_jacobians(self.mean[:3], delta)
-        self.mean[:3] = geo.compose(self.mean[:3], delta)
+        F[at, at], G[at] = geo.compose_jacobians(self.mean[at], delta)
+        self.mean[at] = geo.compose(self.mean[at], delta)
         self.covariance = F @ self.covariance @ F.T + G @ covariance @ G.T
 
-    def correct(self, offsets, H, innovation, R):
-        n = len(self.mean)
-        full, noise = np.zeros((2 * len(offsets), n)), np.zeros((2 * len(offsets),) * 2)
+    def correct(self, offsets, H, innovation, R, robot=0):
+        n, (m, d, width) = len(self.mean), H.shape
+        full, noise = np.zeros((d * m, n)), np.zeros((d * m, d * m))
         for i, offset in enumerate(offsets):
-            rows = slice(2 * i, 2 * i + 2)
-            full[rows, :3], full[rows, offset : offset + 2] = H[i, :, :3], H[i, :, 3:]
+            rows = slice(d * i, d * i + d)
+            full[rows, self.pose(robot)] = H[i, :, :3]
+            full[rows, offset : offset + width - 3] = H[i, :, 3:]
             noise[rows, rows] = R[i]
         z = innovation.reshape(-1)
         S = full @ self.covariance @ full.T + noise
         K = self.covariance @ full.T @ np.linalg.inv(S)
         self.mean = self.mean + K @ z
-        self.mean[2] = geo.wrap(self.mean[2])
+        headings = 3 * np.arange(self.robots) + 2
+        self.mean[headings] = geo.wrap(self.mean[headings])
         self.covariance = self.covariance - K @ S @ K.T
         return z @ np.linalg.solve(S, z)
 
-    def append(self, landmark, wrt_pose, noise):
+    def append(self, landmark, wrt_pose, wrt_value, R, wrt_prior=None, S=None, robot=0):
         n = len(self.mean)
-        A = np.zeros((2, n))
-        A[:, :3] = wrt_pose
-        P = self.covariance
+        A = np.zeros((len(landmark), n))
+        A[:, self.pose(robot)] = wrt_pose
+        G_y, G_s = np.asarray(wrt_value), np.zeros((len(landmark), 1))
+        if wrt_prior is not None:
+            G_s = wrt_prior @ np.linalg.cholesky(S)
+        P, noise = self.covariance, G_y @ R @ G_y.T + G_s @ G_s.T
         self.mean = np.append(self.mean, landmark)
         self.covariance = np.block([[P, P @ A.T], [A @ P, A @ P @ A.T + noise]])
         return n
 
-    def remove(self, offset):
-        keep = np.delete(np.arange(len(self.mean)), [offset, offset + 1])
+    def replace(self, offset, landmark, jacobian):
+        new, old = jacobian.shape
+        T = np.eye(len(self.mean))
+        T[offset : offset + new] = 0.0
+        T[offset : offset + new, offset : offset + old] = jacobian
+        self.mean[offset : offset + new] = landmark
+        self.covariance = T @ self.covariance @ T.T
+        self.remove(offset + new, old - new)
+
+    def remove(self, offset, size=2):
+        keep = np.delete(np.arange(len(self.mean)), offset + np.arange(size))
         self.mean, self.covariance = self.mean[keep], self.covariance[np.ix_(keep, keep)]
 
 
-def see_new(slam, value):
+def see_new(slam, value, robot=0):
     """Put a landmark into the map from a measurement."""
-    point, wrt_pose, wrt_value = SENSOR.locate(slam.mean[:3], value)
-    noise = geo.congruence(wrt_value, SENSOR.covariances(value))
-    return slam.append(point, wrt_pose, noise)
+    pose = slam.mean[3 * robot : 3 * robot + 3]
+    point, wrt_pose, wrt_value = SENSOR.locate(pose, value)
+    return slam.append(point, wrt_pose, wrt_value, SENSOR.covariances(value), robot=robot)
 
 
-def see_again(slam, offsets, error):
+def see_again(slam, offsets, error, robot=0):
     """Correct with measurements that differ from the expected ones by `error`."""
     points = np.array([slam.mean[o : o + 2] for o in offsets])
-    value, wrt_pose, wrt_point = SENSOR.observe(slam.mean[:3], points)
+    value, wrt_pose, wrt_point = SENSOR.observe(slam.mean[3 * robot : 3 * robot + 3], points)
     H = np.concatenate([wrt_pose, wrt_point], axis=2)
     innovation = np.tile(np.asarray(error, dtype=float), (len(offsets), 1))
-    return slam.correct(np.array(offsets), H, innovation, SENSOR.covariances(value))
+    return slam.correct(np.array(offsets), H, innovation, SENSOR.covariances(value), robot)
 
 
 def drive(slam, steps=6, use=(0, 1, 2)):
@@ -98,6 +123,62 @@ def test_a_run_equals_dense_algebra():
     nis = [see_again(slam, [5, 11], [0.1, 0.2]) for slam in (slam, dense)]
     np.testing.assert_allclose(*nis, rtol=1e-12)
     assert_same(slam, dense)
+
+
+def take_bearing(slam, value, robot):
+    """Put an inverse depth into the map from a bearing and a prior."""
+    mean, variance = depth_prior(COMPASS.min_range)
+    pose = slam.mean[3 * robot : 3 * robot + 3]
+    landmark, wrt_pose, wrt_value, wrt_prior = inverse_depth(COMPASS, pose, [value], mean)
+    prior = wrt_prior, np.array([[variance]])
+    return slam.append(landmark, wrt_pose, wrt_value, COMPASS.covariance, *prior, robot=robot)
+
+
+def take_bearings_again(slam, offsets, error, robot):
+    """Correct with bearings of inverse depths, one row each."""
+    landmarks = np.array([slam.mean[o : o + 4] for o in offsets])
+    pose = slam.mean[3 * robot : 3 * robot + 3]
+    _, wrt_pose, wrt_landmark = observe_inverse_depth(COMPASS, pose, landmarks)
+    H = np.concatenate([wrt_pose, wrt_landmark], axis=2)
+    noise = np.tile(COMPASS.covariance, (len(offsets), 1, 1))
+    return slam.correct(np.array(offsets), H, np.full((len(offsets), 1), error), noise, robot)
+
+
+def test_two_robots_with_points_and_inverse_depths_equal_dense_algebra():
+    other = Prior([0.0, 1.0, -0.5], np.diag([0.01, 0.02, 0.03]))
+    slam, dense = GaussianMap([PRIOR, other], landmarks=1), DenseMap(PRIOR, other)
+    nis = []
+    for each in (slam, dense):
+        for k in range(4):
+            each.move(np.array([0.5, 0.1, 0.3]), Q, robot=0)
+            each.move(np.array([0.4, -0.1, -0.2]), 2 * Q, robot=1)
+            see_new(each, np.array([4.0 + k, 0.5 - 0.3 * k]), robot=k % 2)
+            at = take_bearing(each, 0.3 * k, robot=1)
+            each.move(np.array([0.1, 0.2, 0.1]), Q, robot=1)
+            first = [6 + 2, 6 + 2 + 6] if k else [8]  # a point and four more each time
+            nis.append(take_bearings_again(each, first, 0.01 * k, robot=1))
+            nis.append(see_again(each, [6], [0.02, -0.01], robot=k % 2))
+        each.remove(20, 4)  # the third inverse depth
+        point, jacobian = to_point(each.mean[8:12])
+        each.replace(8, point, jacobian)
+        see_again(each, [8, 6], [0.01, 0.0], robot=1)
+        assert at == 26
+    assert slam.size == len(dense.mean) == 6 + 4 * 6 - 4 - 2
+    np.testing.assert_allclose(nis[: len(nis) // 2], nis[len(nis) // 2 :], rtol=1e-10)
+    assert_same(slam, dense, 1e-11)
+
+
+def test_robots_are_independent_until_one_sees_what_the_other_has_seen():
+    slam = GaussianMap([PRIOR, PRIOR])
+    mine, theirs = see_new(slam, np.array([4.0, 0.5])), see_new(slam, np.array([3.0, 0.1]), robot=1)
+    for _ in range(3):
+        for robot, landmark in enumerate((mine, theirs)):
+            slam.move(np.array([0.5, 0.1, 0.3]), Q, robot=robot)
+            see_again(slam, [landmark], [0.01, 0.02], robot=robot)
+    ours, others = np.r_[0:3, 6:8], np.r_[3:6, 8:10]
+    np.testing.assert_array_equal(slam.covariance[np.ix_(ours, others)], 0)
+    see_again(slam, [theirs], [0.01, 0.02], robot=0)
+    assert (np.abs(slam.covariance[np.ix_(ours, others)]) > 1e-6).all()
 
 
 def test_the_covariance_is_symmetric_to_the_bit_and_blocks_are_cut_from_it():
@@ -201,7 +282,7 @@ def test_no_observation_changes_nothing():
 
 def test_an_innovation_that_is_certain_is_refused_and_the_map_untouched():
     slam = GaussianMap(Prior())
-    offset = slam.append(np.array([1.0, 0.0]), np.eye(2, 3), np.zeros((2, 2)))
+    offset = slam.append(np.array([1.0, 0.0]), np.eye(2, 3), np.eye(2), np.zeros((2, 2)))
     H = np.ones((1, 2, 5))
     with pytest.raises(EkfslamError, match="not positive definite"):
         slam.correct(np.array([offset]), H, np.ones((1, 2)), np.zeros((1, 2, 2)))
@@ -209,9 +290,21 @@ def test_an_innovation_that_is_certain_is_refused_and_the_map_untouched():
     np.testing.assert_array_equal(slam.covariance, np.zeros((5, 5)))
 
 
-@pytest.mark.parametrize("offset", [0, 2, 4, 14, 15, -2])
+@pytest.mark.parametrize("offset", [0, 2, 14, 15, -2])
 def test_only_landmarks_can_be_deleted(offset):
     slam = GaussianMap(PRIOR)
     drive(slam)
-    with pytest.raises(InputError, match=f"no landmark at offset {offset}"):
+    with pytest.raises(InputError, match=f"no landmark of 2 coordinates at offset {offset} of a"):
+        slam.remove(offset)
+    with pytest.raises(InputError, match=f"no landmark of 4 coordinates at offset {offset} of a"):
+        slam.replace(offset, np.zeros(2), np.ones((2, 4)))
+    with pytest.raises(InputError, match="no landmark of 4 coordinates at offset 13"):
+        slam.remove(13, 4)
+
+
+@pytest.mark.parametrize("offset", [3, 5])
+def test_another_robot_is_no_landmark(offset):
+    slam = GaussianMap([PRIOR, PRIOR])
+    see_new(slam, np.array([4.0, 0.5]))
+    with pytest.raises(InputError, match=f"at offset {offset} of a state of 8"):
         slam.remove(offset)
