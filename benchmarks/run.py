@@ -178,7 +178,7 @@ def textbook_run(data: Dataset) -> tuple[np.ndarray, np.ndarray]:
         slam.observe(step.observations)
     order = np.argsort(slam.landmarks.ids)
     assert (order == np.arange(len(order))).all()
-    mapped = slam._slam  # the state after all landmarks have been seen
+    mapped = slam._engine.slam  # the state after all landmarks have been seen
     textbook = TextbookEkf(mapped.mean, mapped.covariance)
     seconds = np.full(len(steps), np.nan)
     for k, step in enumerate(steps[2:], start=2):

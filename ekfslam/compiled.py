@@ -58,10 +58,24 @@ def compiled(function: F) -> F:
     Only multiply-add contraction is allowed beyond strict floating point, so NaN and infinity
     keep their meaning.
     """
+    return _compile(function, "never")
+
+
+def inlined(function: F) -> F:
+    """Compile into every compiled function that calls it; from Python it is as `compiled`.
+
+    For the few functions of a hot loop that take whole tuples of arrays: those are passed field by
+    field, hundreds of words for the state of a filter, and such a call takes as long as the work.
+    """
+    return _compile(function, "always")
+
+
+def _compile(function: F, inline: str) -> F:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = before or _cache_folder()  # NUMBA_CACHE_DIR, if set, wins
     try:
-        return numba.njit(cache=True, error_model="numpy", fastmath={"contract"})(function)
+        options = {"error_model": "numpy", "fastmath": {"contract"}, "inline": inline}
+        return numba.njit(cache=True, **options)(function)
     finally:
         numba.config.CACHE_DIR = before
 

@@ -116,7 +116,7 @@ class Ekf(Options):
         sightings = sightings._replace(landmark=np.maximum(codes, -1).astype(np.int64))
         priors = [robot.prior for robot in dataset.robots]
         landmarks = len(ids) if association == "known" else 0
-        engine = Engine(priors, self, association, kinds, landmarks)
+        engine = Engine(priors, self, association, kinds, landmarks, noted=len(journal.event) > 0)
         log = Log.of(len(priors), steps, len(codes), int(Decision.REJECTED))
         k, why = 0, DONE
         chunk = steps if progress is None else max(1, steps // 100)

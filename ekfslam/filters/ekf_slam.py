@@ -1,61 +1,62 @@
-"""EKF-SLAM: predict, associate, correct, extend, forget.
+"""EKF-SLAM: predict, associate, correct, extend.
 
 The standard filter with Jacobians at the estimate (Smith and Cheeseman 1987; Solà, section 2;
 Ciatto, Algorithm 1; Principles of Robot Autonomy, 17.1), as one compiled loop. `run` is the
-algorithm; `ekfslam.filters.ekf` calls it over a dataset, or its parts step by step.
+algorithm for identities that are known and sightings that determine a point; the same parts with
+everything that needs more thought are put together by `ekfslam.filters.engine`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ekfslam.compiled import compiled, now
-from ekfslam.estimates import Decision, Linearizations
-from ekfslam.filters.initiation import extend, starts_as_point
-from ekfslam.filters.journal import record
+from ekfslam.compiled import compiled, inlined, now
+from ekfslam.estimates import Decision
+from ekfslam.filters.initiation import extend
 from ekfslam.filters.kernels import correct, move, project, times_transposed
 from ekfslam.filters.measure import BANKED, POINT, POSE, foresee, moved, rows_of
 from ekfslam.filters.options import KNOWN
 from ekfslam.filters.recognition import by_identity
 
-ACCEPTED, NEW, REJECTED = int(Decision.ACCEPTED), int(Decision.NEW), int(Decision.REJECTED)
-OBSERVED = Linearizations.OBSERVED
-DONE, GROW, INDEFINITE, LOOK, PARTIAL = range(5)
+ACCEPTED, REJECTED = int(Decision.ACCEPTED), int(Decision.REJECTED)
+DONE, GROW, INDEFINITE, LOOK = range(4)
 
 
 @compiled
-def run(start, row, stop, deltas, Qs, offsets, sightings, state, settings, log, journal):  # type: ignore[no-untyped-def]
-    """Steps from `start` to before `stop`; returns the step and row at which it stopped, and why.
+def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, log):  # type: ignore[no-untyped-def]
+    """Steps from `start` to before `stop`; returns the step at which it stopped, and why.
 
     Why is `DONE`; `GROW` for a map that must grow first; `INDEFINITE` for an innovation covariance
-    that is not positive definite; or what `ekfslam.filters.engine` has to do for the look at that
-    row: all of it (`LOOK`), or what is left of it (`PARTIAL`). A row that is not -1 is where to go
-    on within `start`.
+    that is not positive definite; or `LOOK` for observations that need more than this loop offers,
+    after the motion.
     """
     for k in range(start, stop):
         begin = now()
         first, last = offsets[k], offsets[k + 1]
-        if row >= 0:
-            first = row
-        elif has_room(state, last - first, settings):
-            predict(state, k, deltas[:, k], Qs[:, k])
-            log.nis[k], log.seconds[k] = 0.0, 0.0
-        else:
-            return k, -1, GROW
-        at, why = observe(state, sightings, first, last, k, settings, log, journal)
-        if why != DONE:
-            log.seconds[k] += now() - begin
-            return k, at, why
-        write_step(state, k, settings, log)
-        log.seconds[k] += now() - begin
-        row = -1
-    return stop, -1, DONE
+        if not has_room(slam, register, last - first, settings):
+            return k, GROW
+        predict(slam, deltas[:, k], Qs[:, k])
+        log.nis[k] = 0.0
+        if last > first and not settings.plain:
+            return k, LOOK
+        while first < last:  # for each robot, for each sensor (Solà, 2.4): a look
+            until = end_of_look(sightings, first, last) if settings.scan else first + 1
+            by_identity(register, sightings, first, until, settings, log)
+            nis, dof = update(slam, register, sightings, first, until, settings, log)
+            if np.isnan(nis):
+                return k, INDEFINITE
+            log.nis[k] += nis
+            log.dof[k] += dof
+            extend(slam, register, sightings, first, until, settings, log)
+            first = until
+        write_step(slam, k, settings, log)
+        log.seconds[k] = now() - begin
+    return stop, DONE
 
 
-@compiled
-def has_room(state, rows, settings):  # type: ignore[no-untyped-def]
+@inlined
+def has_room(slam, register, rows, settings):  # type: ignore[no-untyped-def]
     """Whether the map and the register have room for a step with so many observations."""
-    slam, register = state.slam, state.register
     # A step adds at most what its observations add, and a past pose of each robot.
     needed = slam.size[0] + settings.largest * rows + POSE * settings.robots
     if min(needed, settings.most) > slam.mean.size:
@@ -63,10 +64,9 @@ def has_room(state, rows, settings):  # type: ignore[no-untyped-def]
     return settings.method == KNOWN or register.used[0] + rows <= register.offsets.size
 
 
-@compiled
-def write_step(state, k, settings, log):  # type: ignore[no-untyped-def]
+@inlined
+def write_step(slam, k, settings, log):  # type: ignore[no-untyped-def]
     """Note poses and covariances of a step."""
-    slam = state.slam
     for robot in range(settings.robots):
         at = POSE * robot
         log.poses[robot, k] = slam.mean[at : at + POSE]
@@ -78,145 +78,98 @@ def write_step(state, k, settings, log):  # type: ignore[no-untyped-def]
         log.nis[k] = np.nan
 
 
-@compiled
-def predict(state, step, deltas, Qs):  # type: ignore[no-untyped-def]
+@inlined
+def predict(slam, deltas, Qs):  # type: ignore[no-untyped-def]
     """The robots move (Solà, 2.3.2; Ciatto, 3.3)."""
-    slam = state.slam
-    state.clock[0] = step
     for robot in range(deltas.shape[0]):
         at = POSE * robot
         move(slam.mean, slam.covariance, slam.size[0], at, deltas[robot], Qs[robot])
 
 
-@compiled
-def observe(state, sightings, first, last, k, settings, log, journal):  # type: ignore[no-untyped-def]
-    """For each robot, each sensor, each observation (Solà, 2.4): associate, correct, extend.
-
-    It goes look by look: what one sensor saw at one instant. Returns the row that it came to, and
-    why it stopped there, as `run` does; what the innovations of step k add up to is in the log.
-    """
-    while first < last:
-        if not settings.plain:
-            return first, LOOK
-        until = end_of_look(sightings, first, last) if settings.scan else first + 1
-        by_identity(state, sightings, first, until, settings, log)
-        why = use(state, sightings, first, until, k, settings, log, journal)
-        if why != DONE:
-            return first, why
-        first = until
-    return last, DONE
-
-
-@compiled
+@inlined
 def end_of_look(sightings, first, last):  # type: ignore[no-untyped-def]
-    """Row after the last of a look."""
+    """Row after the last of what one sensor saw at one instant."""
     end = first + 1
     while end < last and sightings.look[end] == sightings.look[first]:
         end += 1
     return end
 
 
-@compiled
-def use(state, sightings, first, last, k, settings, log, journal):  # type: ignore[no-untyped-def]
-    """Correct with what is mapped, extend by what is new (Ciatto, Algorithm 1).
-
-    Returns `DONE`, `INDEFINITE`, or `PARTIAL` if there is more to do for this look.
-    """
-    nis, dof = update(state, sightings, first, last, settings, log, journal)
-    if np.isnan(nis):
-        return INDEFINITE
-    log.nis[k] += nis
-    log.dof[k] += dof
-    extend(state, sightings, first, last, settings, log, journal)
-    # What is not yet a point, or does not start as one, is seen to apart from this loop.
-    for i in range(first, last):
-        index = log.landmark[i]
-        if index < 0:
-            continue
-        if log.decision[i] == NEW:
-            if state.waiting.row.size > 0 or not starts_as_point(sightings.kind[i], settings):
-                return PARTIAL
-        elif state.register.sizes[index] == BANKED or state.register.sizes[index] > POINT:
-            return PARTIAL
-    return DONE
-
-
-@compiled
-def update(state, sightings, first, last, settings, log, journal):  # type: ignore[no-untyped-def]
+@inlined
+def update(slam, register, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
     """Correct with what is seen again, jointly or one after another (Solà, 2.3.3).
 
-    Returns the squared Mahalanobis norm of the innovations, and how many rows they have.
+    Returns the squared Mahalanobis norm of the innovations, NaN if their covariance was not
+    positive definite, and how many rows they have.
     """
-    accepted = 0
+    accepted, sizes = 0, register.sizes
     for i in range(first, last):
         index = log.landmark[i]
-        if log.decision[i] == ACCEPTED and (index < 0 or state.register.sizes[index] != BANKED):
+        if log.decision[i] == ACCEPTED and (index < 0 or sizes[index] != BANKED):
             accepted += 1
-    if accepted == 0:
-        return 0.0, 0
-    register, slam = state.register, state.slam
-    n, P, mean = slam.size[0], slam.covariance, slam.mean
-    robot, kind, mount = sightings.robot[first], sightings.kind[first], sightings.mount[first]
-    pose, d = POSE * robot, rows_of(kind)
-    together = accepted if settings.joint else 1
+    total, dof = 0.0, 0
+    if accepted > 0:
+        joint, robots = settings.joint, settings.robots
+        total, dof = correct_mapped(
+            slam, register, sightings, first, last, accepted, joint, robots, log
+        )
+    return total, dof
+
+
+@inlined
+def correct_mapped(slam, register, sightings, first, last, accepted, joint, robots, log):  # type: ignore[no-untyped-def]
+    """Correct with the accepted observations of a look, but not those of a bank of hypotheses."""
+    # Taken from their tuples once: in the loop every access would count references.
+    mean, P, n = slam.mean, slam.covariance, slam.size[0]
+    offsets, own_sizes = register.offsets, register.sizes
+    used, rejections = register.sightings, register.rejections
+    values, R, target = sightings.values, sightings.covariance, sightings.target
+    decision, landmark, innovation, spread = log.decision, log.landmark, log.innovation, log.S
+    kind, mount, pose = sightings.kind[first], sightings.mount[first], POSE * sightings.robot[first]
+    d, together = rows_of(kind), accepted if joint else 1
     rows = np.empty((d * together, n))
     S, z = np.empty((d * together, d * together)), np.empty(d * together)
     H, point = np.empty((together, 2, 7)), np.empty(4)
     places, sizes = np.empty(together, np.int64), np.empty(together, np.int64)
     total, dof, m, left = 0.0, 0, 0, accepted
     for i in range(first, last):
-        if log.decision[i] != ACCEPTED:
+        if decision[i] != ACCEPTED:
             continue
-        index = log.landmark[i]
+        index = landmark[i]
         if index >= 0:
-            at, size = register.offsets[index], register.sizes[index]
+            at, size = offsets[index], own_sizes[index]
         else:  # another robot
-            at, size = POSE * sightings.target[i], POSE
+            at, size = POSE * target[i], POSE
         if size == BANKED:
             continue
         left -= 1
-        here, there, nu = mean[pose : pose + POSE], mean[at : at + size], log.innovation[i]
-        if foresee(kind, size, mount, here, there, sightings.values[i], point, H[m], nu):
-            record(
-                journal,
-                OBSERVED,
-                i,
-                robot,
-                state.clock[0],
-                index,
-                sightings.target[i],
-                size,
-                d,
-                here,
-                point,
-                H[m],
-                nu,
-                sightings.covariance[i],
-            )
+        here, there, nu, h = mean[pose : pose + POSE], mean[at : at + size], innovation[i], H[m]
+        if foresee(kind, size, mount, here, there, values[i], point, h, nu):
             if size > POINT:
                 for a in range(d):
-                    nu[a] = moved(nu, H[m], there, point, size, a)
-            project(P, n, pose, at, size, H[m], d, rows[d * m : d * m + d])
+                    nu[a] = moved(nu, h, there, point, size, a)
+            project(P, n, pose, at, size, h, d, rows[d * m : d * m + d])
             places[m], sizes[m] = at, size
             for j in range(m + 1):  # S = H P H' + R, lower triangle of blocks
+                other, place, width = H[j], places[j], sizes[j]
                 for a in range(d):
+                    row = rows[d * m + a]
                     for b in range(d):
-                        S[d * m + a, d * j + b] = times_transposed(
-                            rows[d * m + a], pose, places[j], sizes[j], H[j], b
-                        )
+                        entry = times_transposed(row, pose, place, width, other, b)
+                        S[d * m + a, d * j + b] = entry
             for a in range(d):
-                z[d * m + a] = log.innovation[i, a]
+                z[d * m + a] = nu[a]
                 for b in range(d):
-                    S[d * m + a, d * m + b] += sightings.covariance[i, a, b]
-                    log.S[i, a, b] = S[d * m + a, d * m + b]
+                    S[d * m + a, d * m + b] += R[i, a, b]
+                    spread[i, a, b] = S[d * m + a, d * m + b]
             if index >= 0:
-                register.sightings[index] += 1
-                register.rejections[index] = 0
+                used[index] += 1
+                rejections[index] = 0
             m += 1
         else:  # an inverse depth that has no distance to compare with
-            log.decision[i] = REJECTED
+            decision[i] = REJECTED
         if m == together or (left == 0 and m > 0):
-            total += correct(mean, P, n, rows, S, z, d * m, settings.robots)
+            total += correct(mean, P, n, rows, S, z, d * m, robots)
             dof += d * m
             m = 0
     return total, dof

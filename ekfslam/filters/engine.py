@@ -9,6 +9,7 @@ import numpy as np
 
 from ekfslam.association.assignment import global_nearest_neighbour
 from ekfslam.association.nearest import NEW as NEW_LANDMARK
+from ekfslam.compiled import now
 from ekfslam.dataset import Prior, Sightings
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import LandmarkEstimates
@@ -18,13 +19,14 @@ from ekfslam.filters.ekf_slam import (
     GROW,
     INDEFINITE,
     LOOK,
-    PARTIAL,
     end_of_look,
-    observe,
+    predict,
     run,
-    use,
+    update,
+    write_step,
 )
 from ekfslam.filters.gaussian_map import GaussianMap
+from ekfslam.filters.initiation import extend, note_corrections, note_points
 from ekfslam.filters.measure import BANKED, INVERSE_DEPTH, POINT, POSE
 from ekfslam.filters.options import BANK, DELAYED, GLOBAL, JOINT, OF_POINTS, Options
 from ekfslam.filters.partial import see_to_partial
@@ -60,6 +62,8 @@ class Engine:
         Codes of the views that there will be.
     landmarks : int
         How many there can be at most, 0 for not known.
+    noted : bool
+        Whether a journal is kept.
 
     Raises
     ------
@@ -74,8 +78,10 @@ class Engine:
         association: str,
         kinds: set[int],
         landmarks: int = 0,
+        noted: bool = False,
     ) -> None:
         settings = options.settings(association, kinds, landmarks, len(priors))
+        settings = settings._replace(plain=settings.plain and not noted)
         self.settings, self.association = settings, association
         room = landmarks or LANDMARKS
         self.slam = GaussianMap(priors, room * settings.largest // POINT)
@@ -135,64 +141,79 @@ class Engine:
 
         That is `DONE`, or `INDEFINITE` where an innovation covariance was not positive definite.
         """
-        row = -1
-        while True:
-            arguments = sightings, self.state, self.settings, log, journal
-            start, row, why = run(start, row, stop, *moves, offsets, *arguments)
+        why = DONE
+        while start < stop:
+            slam, register = self.slam.arrays, self.register
+            arguments = sightings, slam, register, self.settings, log
+            start, why = run(start, stop, *moves, offsets, *arguments)
             if why == GROW:
                 self.make_room(int(offsets[start + 1] - offsets[start]))
-            elif why in (LOOK, PARTIAL):
-                row = self._assist(
-                    why, sightings, row, int(offsets[start + 1]), start, log, journal
-                )
+            elif why == LOOK:
+                begin = now()
+                first, last = int(offsets[start]), int(offsets[start + 1])
+                self._clock[0] = start
+                if not self._observe(sightings, first, last, start, log, journal):
+                    return start, INDEFINITE
+                write_step(self.slam.arrays, start, self.settings, log)
+                log.seconds[start] = now() - begin
+                start += 1
             else:
-                return start, why
-            if row is None:
-                return start, INDEFINITE
+                break
+        return start, INDEFINITE if why == INDEFINITE else DONE
 
-    def observe(self, sightings: Sightings, log: Log, journal: Journal) -> bool:
+    def predict(self, step: int, deltas: Array, Qs: Array) -> None:
+        """Move the robots, (R, 3) and (R, 3, 3)."""
+        self._clock[0] = step
+        predict(self.slam.arrays, deltas, Qs)
+
+    def observe(self, sightings: Sightings, log: Log) -> bool:
         """All observations of one step; whether innovation covariances were positive definite."""
-        row: int | None = 0
-        last = len(sightings.values)
         log.nis[0] = 0.0
-        while row is not None:
-            state, settings = self.state, self.settings
-            row, why = observe(state, sightings, row, last, 0, settings, log, journal)
-            if why not in (LOOK, PARTIAL):
-                return bool(why == DONE)
-            row = self._assist(why, sightings, row, last, 0, log, journal)
-        return False
+        return self._observe(sightings, 0, len(sightings.values), 0, log, Journal.of(0))
 
-    def _assist(
-        self,
-        why: int,
-        sightings: Sightings,
-        first: int,
-        last: int,
-        k: int,
-        log: Log,
-        journal: Journal,
-    ) -> int | None:
-        """See to the look at a row; returns where to go on, or None if it could not be used."""
-        state, settings = self.state, self.settings
-        until = end_of_look(sightings, first, last) if settings.scan else first + 1
-        look = state, sightings, first, until
-        if why == LOOK:
+    def _observe(
+        self, sightings: Sightings, first: int, last: int, k: int, log: Log, journal: Journal
+    ) -> bool:
+        """The loop of `ekfslam.filters.ekf_slam.run` over looks, with all that may be in them."""
+        settings = self.settings
+        while first < last:
+            until = end_of_look(sightings, first, last) if settings.scan else first + 1
+            look = self.state, sightings, first, until
             if settings.method in (GLOBAL, JOINT):
                 robots_seen(sightings, first, until, log)
                 evidence = gather(*look, settings)
-                choice = self._assign(sightings, evidence)
-                settle(state, sightings, evidence, choice, settings, log)
+                settle(*look[:2], evidence, self._assign(sightings, evidence), settings, log)
             else:
                 recognise(*look, settings, log)
-            why = use(*look, k, settings, log, journal)
-            if why == INDEFINITE:
-                return None
-        if why == PARTIAL:
-            see_to_partial(*look, settings, log, journal)
-        if settings.corrupt or settings.forget or settings.descriptor_variance:
-            upkeep(*look, settings, log)
-        return until
+            if not self._use(sightings, first, until, k, log, journal):
+                return False
+            if settings.partial:
+                see_to_partial(*look, settings, log, journal)
+            if settings.corrupt or settings.forget or settings.descriptor_variance:
+                upkeep(*look, settings, log)
+            first = until
+        return True
+
+    def _use(
+        self, sightings: Sightings, first: int, last: int, k: int, log: Log, journal: Journal
+    ) -> bool:
+        """Correct and extend; whether innovation covariances were positive definite."""
+        settings, slam, register = self.settings, self.slam.arrays, self.register
+        noting = len(journal.event) > 0
+        # Noted before they are used: one after another, where each is linearised anew.
+        alone = noting and not settings.joint
+        for i, j in [(i, i + 1) for i in range(first, last)] if alone else [(first, last)]:
+            if noting:
+                note_corrections(self.state, sightings, i, j, log, journal)
+            nis, dof = update(slam, register, sightings, i, j, settings, log)
+            if np.isnan(nis):
+                return False
+            log.nis[k] += nis
+            log.dof[k] += dof
+        if noting:
+            note_points(self.state, sightings, first, last, settings, log, journal)
+        extend(slam, register, sightings, first, last, settings, log)
+        return True
 
     def _assign(self, sightings: Sightings, evidence: Evidence) -> np.ndarray:
         """Decide on all observations of a look together."""

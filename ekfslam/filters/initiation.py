@@ -11,15 +11,17 @@ import math
 
 import numpy as np
 
-from ekfslam.compiled import compiled
+from ekfslam.compiled import compiled, inlined
 from ekfslam.estimates import Decision, Linearizations
 from ekfslam.filters.journal import record
 from ekfslam.filters.kernels import append, correct, project, times_transposed
 from ekfslam.filters.measure import (
+    BANKED,
     INVERSE_DEPTH,
     POINT,
     POSE,
     expect,
+    foresee,
     innovate,
     locate,
     locate_direction,
@@ -28,12 +30,12 @@ from ekfslam.filters.measure import (
 from ekfslam.filters.options import ALLOCATED, MAPPED, NAIVE
 from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING
 
-NEW = int(Decision.NEW)
+ACCEPTED, NEW = int(Decision.ACCEPTED), int(Decision.NEW)
 OBSERVED, CREATED = Linearizations.OBSERVED, Linearizations.CREATED
 
 
-@compiled
-def extend(state, sightings, first, last, settings, log, journal):  # type: ignore[no-untyped-def]
+@inlined
+def extend(slam, register, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
     """Put what is seen for the first time into the map (Solà, 2.3.4 to 2.3.6; Ciatto, 3.7).
 
     The measurement that creates a landmark is used up by that: it corrects nothing. Landmarks that
@@ -41,10 +43,10 @@ def extend(state, sightings, first, last, settings, log, journal):  # type: igno
     """
     for i in range(first, last):
         if log.decision[i] == NEW and starts_as_point(sightings.kind[i], settings):
-            start_point(state, sightings, i, settings, log, journal)
+            start_point(slam, register, sightings, i, settings, log)
 
 
-@compiled
+@inlined
 def starts_as_point(kind, settings):  # type: ignore[no-untyped-def]
     """Whether one sighting makes a point, by its mapped error or with a naive prior."""
     if kind == BEARING:
@@ -55,42 +57,33 @@ def starts_as_point(kind, settings):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def enter(state, i, robot, target, size, G, noise, log, journal):  # type: ignore[no-untyped-def]
+def enter(slam, register, index, robot, target, size, G, noise):  # type: ignore[no-untyped-def]
     """Append a landmark seen from the present pose of a robot."""
-    slam, register, index = state.slam, state.register, log.landmark[i]
     n, poses = slam.size[0], np.array([POSE * robot])
     append(slam.mean, slam.covariance, n, poses, target, size, G, noise)
     slam.size[0] = n + size
     register.offsets[index], register.sizes[index] = n, size
     register.sightings[index] = 1
-    record(
-        journal,
-        CREATED,
-        i,
-        robot,
-        state.clock[0],
-        index,
-        -1,
-        size,
-        size,
-        slam.mean[POSE * robot : POSE * robot + POSE],
-        target,
-        G[0],
-        np.zeros(4),
-        noise,
-    )
 
 
 # A point from one sighting -----------------------------------------------------------------------
 
 
 @compiled
-def start_point(state, sightings, i, settings, log, journal):  # type: ignore[no-untyped-def]
+def start_point(slam, register, sightings, i, settings, log):  # type: ignore[no-untyped-def]
     """A point, from a full observation or from a partial one with a naive Gaussian prior.
 
     The naive priors, on the distance of a bearing and on the bearing of a range, are g(R, S, y, s)
     of Solà's Eqs. 39 to 44 like any other; the function is just not linear over what they allow.
     """
+    target, G, noise = np.zeros(4), np.zeros((1, 4, 3)), np.zeros((4, 4))
+    map_point(slam, sightings, i, settings, target, G, noise)
+    enter(slam, register, log.landmark[i], sightings.robot[i], target, POINT, G, noise)
+
+
+@compiled
+def map_point(slam, sightings, i, settings, target, G, noise):  # type: ignore[no-untyped-def]
+    """The point of a sighting, with its Jacobian and its covariance given the pose."""
     kind, value, R = sightings.kind[i], sightings.values[i].copy(), sightings.covariance[i].copy()
     if kind == BEARING:
         value[0], value[1] = settings.distance_mean, value[0]
@@ -99,11 +92,9 @@ def start_point(state, sightings, i, settings, log, journal):  # type: ignore[no
     elif kind == RANGE:
         value[1], R[1, 1] = 0.0, math.pi**2 / 3.0  # of a uniform bearing
         kind = RANGE_BEARING
-    robot = sightings.robot[i]
-    pose = state.slam.mean[POSE * robot : POSE * robot + POSE]
-    target, G, noise = np.zeros(4), np.zeros((1, 4, 3)), np.zeros((4, 4))
-    locate(kind, sightings.mount[i], pose, value, R, target, G[0], noise)
-    enter(state, i, robot, target, POINT, G, noise, log, journal)
+    at = POSE * sightings.robot[i]
+    here = slam.mean[at : at + POSE]
+    locate(kind, sightings.mount[i], here, value, R, target, G[0], noise)
 
 
 @compiled
@@ -126,25 +117,9 @@ def start_uninformed(state, sightings, i, settings, log, journal):  # type: igno
         at = register.offsets[index]
         slam.mean[at : at + POINT] = target[:POINT]
         register.sightings[index] = 1
-        step, none = state.clock[0], np.zeros(4)
-        record(
-            journal,
-            CREATED,
-            i,
-            robot,
-            step,
-            index,
-            -1,
-            POINT,
-            POINT,
-            pose,
-            target,
-            G[0],
-            none,
-            noise,
-        )
     else:
-        enter(state, i, robot, target, POINT, G, noise, log, journal)
+        enter(slam, register, index, robot, target, POINT, G, noise)
+    created(state, i, robot, index, target, POINT, G, noise, journal)
     at, n, d = register.offsets[index], slam.size[0], rows_of(kind)
     expected, H, z = np.zeros(2), np.zeros((2, 7)), np.zeros(2)
     rows, S = np.empty((d, n)), np.empty((d, d))
@@ -180,4 +155,47 @@ def start_direction(state, sightings, i, log, journal):  # type: ignore[no-untyp
         G[0],
         noise,
     )
-    enter(state, i, robot, target, INVERSE_DEPTH, G, noise, log, journal)
+    index = log.landmark[i]
+    enter(state.slam, state.register, index, robot, target, INVERSE_DEPTH, G, noise)
+    created(state, i, robot, index, target, INVERSE_DEPTH, G, noise, journal)
+
+
+# For the journal ---------------------------------------------------------------------------------
+
+
+@compiled
+def created(state, i, robot, index, target, size, G, noise, journal):  # type: ignore[no-untyped-def]
+    """Record how a landmark was made."""
+    pose = state.slam.mean[POSE * robot : POSE * robot + POSE]
+    none, step = np.zeros(4), state.clock[0]
+    record(journal, CREATED, i, robot, step, index, -1, size, size, pose, target, G[0], none, noise)
+
+
+@compiled
+def note_points(state, sightings, first, last, settings, log, journal):  # type: ignore[no-untyped-def]
+    """Record what `extend` is about to do."""
+    for i in range(first, last):
+        if log.decision[i] == NEW and starts_as_point(sightings.kind[i], settings):
+            target, G, noise = np.zeros(4), np.zeros((1, 4, 3)), np.zeros((4, 4))
+            map_point(state.slam, sightings, i, settings, target, G, noise)
+            index = log.landmark[i]
+            created(state, i, sightings.robot[i], index, target, POINT, G, noise, journal)
+
+
+@compiled
+def note_corrections(state, sightings, first, last, log, journal):  # type: ignore[no-untyped-def]
+    """Record the linear models that a correction with these rows is about to use."""
+    mean, register = state.slam.mean, state.register
+    point, H, nu = np.empty(4), np.zeros((2, 7)), np.zeros(2)
+    for i in range(first, last):
+        index, robot, kind = log.landmark[i], sightings.robot[i], sightings.kind[i]
+        if log.decision[i] != ACCEPTED or (index >= 0 and register.sizes[index] == BANKED):
+            continue
+        at, size = POSE * sightings.target[i], POSE
+        if index >= 0:
+            at, size = register.offsets[index], register.sizes[index]
+        here, there, R = mean[POSE * robot :][:POSE], mean[at : at + size], sightings.covariance[i]
+        mount, value, target = sightings.mount[i], sightings.values[i], sightings.target[i]
+        if foresee(kind, size, mount, here, there, value, point, H, nu):
+            step, d = state.clock[0], rows_of(kind)
+            record(journal, OBSERVED, i, robot, step, index, target, size, d, here, point, H, nu, R)

@@ -44,30 +44,32 @@ def add_rows(P, n, at, size, weights, out):  # type: ignore[no-untyped-def]
         Added to, up to n.
     """
     stop = at + size
-    for j in range(at):  # above the diagonal its rows stand as columns
-        total = 0.0
-        for c in range(size):
-            total += weights[c] * P[j, at + c]
-        out[j] += total
     for c in range(size):
         for d in range(size):
             out[at + d] += weights[c] * P[at + min(c, d), at + max(c, d)]
     tail = out[stop:n]
     if size == 2:
         w0, w1 = weights[0], weights[1]
+        for j in range(at):  # above the diagonal its rows stand as columns
+            out[j] += w0 * P[j, at] + w1 * P[j, at + 1]
         row0, row1 = P[at, stop:n], P[at + 1, stop:n]
         for j in range(tail.size):
             tail[j] += w0 * row0[j] + w1 * row1[j]
     elif size == 3:
         w0, w1, w2 = weights[0], weights[1], weights[2]
+        for j in range(at):
+            out[j] += w0 * P[j, at] + w1 * P[j, at + 1] + w2 * P[j, at + 2]
         row0, row1, row2 = P[at, stop:n], P[at + 1, stop:n], P[at + 2, stop:n]
         for j in range(tail.size):
             tail[j] += w0 * row0[j] + w1 * row1[j] + w2 * row2[j]
     else:
         for c in range(size):
-            row = P[at + c, stop:n]
+            w0 = weights[c]
+            for j in range(at):
+                out[j] += w0 * P[j, at + c]
+            row0 = P[at + c, stop:n]
             for j in range(tail.size):
-                tail[j] += weights[c] * row[j]
+                tail[j] += w0 * row0[j]
 
 
 # Robot motion -----------------------------------------------------------------------------------
@@ -142,13 +144,18 @@ def project(P, n, pose, at, size, H, d, rows):  # type: ignore[no-untyped-def]
         out = rows[a]
         out[:n] = 0.0
         add_rows(P, n, pose, 3, H[a, :3], out)
-        add_rows(P, n, at, size, H[a, 3:], out)
+        if size == 2:  # known to the compiler, which unrolls
+            add_rows(P, n, at, 2, H[a, 3:], out)
+        else:
+            add_rows(P, n, at, size, H[a, 3:], out)
 
 
 @compiled
 def times_transposed(row, pose, at, size, H, a):  # type: ignore[no-untyped-def]
     """One entry of ``(H P) H'``: a row of H P with row a of an observation's H."""
     total = row[pose] * H[a, 0] + row[pose + 1] * H[a, 1] + row[pose + 2] * H[a, 2]
+    if size == 2:
+        return total + row[at] * H[a, 3] + row[at + 1] * H[a, 4]
     for c in range(size):
         total += row[at + c] * H[a, 3 + c]
     return total

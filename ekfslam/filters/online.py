@@ -11,8 +11,7 @@ from ekfslam.checks import check_finite, checked_array, checked_covariance
 from ekfslam.dataset import Prior, Sightings
 from ekfslam.errors import InputError
 from ekfslam.estimates import Decision, Innovations, LandmarkEstimates
-from ekfslam.filters.arrays import Journal, Log
-from ekfslam.filters.ekf_slam import predict
+from ekfslam.filters.arrays import Log
 from ekfslam.filters.engine import Engine, check_views
 from ekfslam.filters.measure import POSE
 from ekfslam.filters.options import Options
@@ -87,7 +86,7 @@ class EkfSlam:
             for each in given.reshape(-1, 3, 3)
         ]
         self._step += 1
-        predict(self._engine.state, self._step, delta.reshape(-1, 3).copy(), np.array(Q))
+        self._engine.predict(self._step, delta.reshape(-1, 3).copy(), np.array(Q))
 
     def observe(self, observations: Sightings) -> Innovations:
         """Associate, correct and extend with the observations of one step.
@@ -127,7 +126,7 @@ class EkfSlam:
         self._engine.make_room(max(count, len(self._ids)))
         seen = seen._replace(landmark=np.array(codes, dtype=np.int64))
         log = Log.of(1, 1, count, int(Decision.REJECTED))
-        if not self._engine.observe(seen, log, Journal.of(0)):
+        if not self._engine.observe(seen, log):
             raise InputError("the innovation covariance is not positive definite; check the noise")
         names = np.append(self._names(), -1)
         return Innovations(log.decision, names[log.landmark], log.innovation, log.S)

@@ -53,6 +53,7 @@ class Settings(NamedTuple):
 
     method: int
     plain: bool
+    partial: bool
     scan: bool
     joint: bool
     accept: Array
@@ -237,6 +238,7 @@ class Options:
         robots : int
         """
         ranges = RANGES[self.ranges]
+        partial = bool(kinds & {BEARING, RANGE}) or self.initiation != "mapped"
         largest = POINT
         if BEARING in kinds and self.bearings == "inverse-depth":
             largest = INVERSE_DEPTH
@@ -247,8 +249,9 @@ class Options:
         extras = self.known_gate, self.descriptor_sigma, self.forget or None
         return Settings(
             method=ASSOCIATIONS[association],
-            # What the compiled loop does by itself; for the rest it asks look by look.
-            plain=association == "known" and extras == (None, None, None),
+            # What the compiled loop does by itself; the rest is done look by look.
+            plain=association == "known" and extras == (None, None, None) and not partial,
+            partial=partial,
             scan=self.matching == "scan",
             joint=self.update == "joint",
             accept=quantiles(self.accept, DIMENSIONS),

@@ -21,7 +21,7 @@ from ekfslam.association.nearest import (
     nearest_within,
     smallest_distance,
 )
-from ekfslam.compiled import compiled
+from ekfslam.compiled import compiled, inlined
 from ekfslam.estimates import Decision
 from ekfslam.filters.measure import BANKED, POINT, foresee, locate, moved, rows_of
 from ekfslam.filters.options import (
@@ -105,10 +105,9 @@ def cross(P, pose, at, size, H, other, other_size, G, d, out):  # type: ignore[n
 # Identities known from outside -------------------------------------------------------------------
 
 
-@compiled
-def by_identity(state, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
+@inlined
+def by_identity(register, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
     """Take the identities of the data."""
-    register = state.register
     for i in range(first, last):
         index = sightings.landmark[i]
         log.landmark[i] = index
@@ -129,7 +128,7 @@ def by_identity(state, sightings, first, last, settings, log):  # type: ignore[n
 def recognise(state, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
     """Who is seen in a look: identities that pass the gate, or what the method decides."""
     if settings.method == KNOWN:
-        by_identity(state, sightings, first, last, settings, log)
+        by_identity(state.register, sightings, first, last, settings, log)
         for i in range(first, last):
             index = log.landmark[i]
             if log.decision[i] == ACCEPTED and index >= 0 and settings.known[1] > 0.0:
@@ -392,7 +391,7 @@ def settle(state, sightings, evidence, choice, settings, log):  # type: ignore[n
             register.used[0] += 1
 
 
-@compiled
+@inlined
 def robots_seen(sightings, first, last, log):  # type: ignore[no-untyped-def]
     """Sightings of robots know whom they show."""
     for i in range(first, last):
