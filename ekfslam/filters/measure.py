@@ -10,7 +10,7 @@ import math
 
 from ekfslam.compiled import compiled
 from ekfslam.filters.kernels import wrap
-from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING, XY
+from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING
 
 POSE, POINT, INVERSE_DEPTH = 3, 2, 4  # coordinates in the state
 BANKED = -1  # stands for the size of a landmark that is still a bank of hypotheses
@@ -115,7 +115,9 @@ def along_the_ray(kind, mount, pose, target, value, point):  # type: ignore[no-u
     """Where to linearise a sighting of an inverse depth that tells its range: at that range.
 
     A prior on rho holds distances that differ by far more than a range is linear over; where the
-    range is measured, there is no need to linearise anywhere else along the ray.
+    range is measured, there is no need to linearise anywhere else along the ray. A full view tells
+    the point of the ray that is next to what it saw; a range alone, of the two points that are so
+    far away, the one nearer to the estimate.
 
     Parameters
     ----------
@@ -124,14 +126,25 @@ def along_the_ray(kind, mount, pose, target, value, point):  # type: ignore[no-u
     target : (4,) ndarray
         The inverse depth.
     point : (4,) ndarray
-        Written: the same ray, with rho of the point on it that has the measured range.
+        Written: the same ray, with another rho.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    x = target[0] - pose[0] - c * mount[0] + s * mount[1]
-    y = target[1] - pose[1] - s * mount[0] - c * mount[1]
-    r = math.hypot(value[0], value[1]) if kind == XY else value[0]
-    along = x * math.cos(target[2]) + y * math.sin(target[2])
-    distance = -along + math.sqrt(max(along * along - x * x - y * y + r * r, 0.0))
+    x = pose[0] + c * mount[0] - s * mount[1] - target[0]  # of the sensor, from the ray's origin
+    y = pose[1] + s * mount[0] + c * mount[1] - target[1]
+    ca, sa = math.cos(target[2]), math.sin(target[2])
+    distance = x * ca + y * sa
+    if kind == RANGE:
+        aside = distance * distance - x * x - y * y + value[0] * value[0]
+        half = math.sqrt(max(aside, 0.0))
+        near, far = distance - half, distance + half
+        guess = 1.0 / target[3] if target[3] > 0.0 else far
+        distance = near if near > 0.0 and abs(near - guess) < abs(far - guess) else far
+    else:
+        ahead, left = value[0], value[1]
+        if kind == RANGE_BEARING:
+            ahead, left = value[0] * math.cos(value[1]), value[0] * math.sin(value[1])
+        turn = pose[2] + mount[2] - target[2]  # the point seen, along the ray
+        distance += ahead * math.cos(turn) - left * math.sin(turn)
     point[:] = target
     point[3] = 1.0 / max(distance, 1e-3)
 
