@@ -170,13 +170,15 @@ def test_foresee_linearises_at_its_point(kernel, size, sensor, rng):
         if size < 4 or sensor.kind == "bearing":
             np.testing.assert_array_equal(point, target)
             continue
-        # The same ray, and on it the point at the range that was measured, if it reaches the ray.
+        # The same ray, and on it the point nearest to what was measured.
         np.testing.assert_array_equal(point[:3], target[:3])
+        there, ahead = to_point(point)[0], geo.rotation(point[2])[:, 0]
         eye = geo.compose(pose, sensor.mount)[:2]
-        aside = geo.perpendicular(geo.rotation(point[2])[:, 0]) @ (point[:2] - eye)
-        reported = np.hypot(*value) if sensor.kind == "xy" else value[0]
-        there = np.linalg.norm(to_point(point)[0] - eye)
-        np.testing.assert_allclose(there, max(reported, abs(aside)), rtol=1e-12)
+        if sensor.kind == "range":  # that range, if it reaches the ray
+            aside = geo.perpendicular(ahead) @ (point[:2] - eye)
+            close(np.linalg.norm(there - eye), max(value[0], abs(aside)), 50)
+        else:
+            close(ahead @ (there - sensor.locate(pose, value)[0]), 0, 50)
 
 
 @pytest.mark.parametrize("sensor", SENSORS[2::3], ids=lambda s: s.kind)
@@ -192,6 +194,35 @@ def test_a_range_of_an_inverse_depth_is_linearised_there_whatever_rho_was(kernel
         return
     np.testing.assert_allclose(point[3], target[3], rtol=1e-9)
     close(nu, 0, 1e3)
+
+
+@pytest.mark.parametrize("sensor", [SENSORS[2], SENSORS[5]], ids=lambda s: s.kind)
+@pytest.mark.parametrize("distance", [6.0, 14.0])
+def test_of_two_points_at_a_range_the_one_in_the_measured_direction_counts(
+    kernel, distance, sensor
+):
+    """The ray passes the sensor 3 m aside, so that two of its points are 5 m away."""
+    frame = np.array([10.0, -3.0, 0.7])
+    pose = geo.compose(frame, geo.inverse(sensor.mount))
+    value = sensor.observe(pose, [distance, 0.0])[0]
+    for rho in (1 / 6, 1 / 14, 0.5):
+        point, _, nu, _ = foresee(kernel, sensor, pose, np.array([0, 0, 0, rho]), value)
+        np.testing.assert_allclose(point[3], 1 / distance, rtol=1e-12)
+        close(nu, 0, 50)
+
+
+@pytest.mark.parametrize(("rho", "distance"), [(0.5, 6), (0.16, 6), (0.08, 14), (-1.0, 14)])
+def test_of_two_points_at_a_range_alone_the_one_nearer_to_the_present_counts(kernel, rho, distance):
+    sensor, pose = SENSORS[9], np.array([10.0, -3.0, 0.7])
+    point, _, _, _ = foresee(kernel, sensor, pose, np.array([0, 0, 0, rho]), np.array([5.0]))
+    np.testing.assert_allclose(point[3], 1 / distance, rtol=1e-12)
+
+
+def test_one_that_would_be_behind_the_start_is_no_choice(kernel):
+    sensor, pose = SENSORS[9], np.array([1.0, -3.0, 0.7])
+    for rho in (5.0, 0.2, 0.01):
+        point, _, _, _ = foresee(kernel, sensor, pose, np.array([0, 0, 0, rho]), np.array([5.0]))
+        np.testing.assert_allclose(point[3], 1 / 5, rtol=1e-12)
 
 
 def test_a_range_that_does_not_reach_the_ray_is_linearised_where_it_comes_nearest(kernel):
