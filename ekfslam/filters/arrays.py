@@ -44,6 +44,8 @@ class Register(NamedTuple):
         Looks in which it was seen less those in which it should have been, see `upkeep`.
     rejections : (capacity,) ndarray of int
         Sightings in a row that the gate of known identities refused.
+    spread : (capacity,) ndarray
+        Its sigma [m] when it became a point.
     descriptor : (capacity, 2) ndarray
         Mean of its descriptor, and how many readings are in it.
     used : (1,) ndarray of int
@@ -55,6 +57,7 @@ class Register(NamedTuple):
     sightings: np.ndarray
     evidence: np.ndarray
     rejections: np.ndarray
+    spread: Array
     descriptor: Array
     used: np.ndarray
 
@@ -63,7 +66,8 @@ class Register(NamedTuple):
         """A register without landmarks."""
         whole = [np.zeros(capacity, dtype=np.int64) for _ in range(5)]
         whole[0] -= 1
-        return cls(*whole, np.zeros((capacity, 2)), np.zeros(1, dtype=np.int64))
+        used = np.zeros(1, dtype=np.int64)
+        return cls(*whole, np.zeros(capacity), np.zeros((capacity, 2)), used)
 
     def grown(self, capacity: int) -> Register:
         """The same landmarks with more room."""

@@ -178,15 +178,10 @@ class Engine:
         settings = self.settings
         while first < last:
             until = end_of_look(sightings, first, last) if settings.scan else first + 1
-            look = self.state, sightings, first, until
-            if settings.method in (GLOBAL, JOINT):
-                robots_seen(sightings, first, until, log)
-                evidence = gather(*look, settings)
-                settle(*look[:2], evidence, self._assign(sightings, evidence), settings, log)
-            else:
-                recognise(*look, settings, log)
+            self.recognise(sightings, first, until, log)
             if not self._use(sightings, first, until, k, log, journal):
                 return False
+            look = self.state, sightings, first, until
             if settings.partial:
                 see_to_partial(*look, settings, log, journal)
             if settings.corrupt or settings.forget or settings.descriptor_variance:
@@ -214,6 +209,17 @@ class Engine:
             note_points(self.state, sightings, first, last, settings, log, journal)
         extend(slam, register, sightings, first, last, settings, log)
         return True
+
+    def recognise(self, sightings: Sightings, first: int, last: int, log: Log) -> None:
+        """Who is seen in a look."""
+        state, settings = self.state, self.settings
+        if settings.method not in (GLOBAL, JOINT):
+            recognise(state, sightings, first, last, settings, log)
+            return
+        robots_seen(sightings, first, last, log)
+        evidence = gather(state, sightings, first, last, settings)
+        choice = self._assign(sightings, evidence)
+        settle(state, sightings, evidence, choice, settings, log)
 
     def _assign(self, sightings: Sightings, evidence: Evidence) -> np.ndarray:
         """Decide on all observations of a look together."""

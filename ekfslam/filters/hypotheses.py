@@ -126,5 +126,7 @@ def decided(state, index):  # type: ignore[no-untyped-def]
             alive, last = alive + 1, h
     if alive == 1:
         register = state.register
-        register.offsets[index], register.sizes[index] = offsets[last], POINT
+        at, P = offsets[last], state.slam.covariance
+        register.offsets[index], register.sizes[index] = at, POINT
+        register.spread[index] = math.sqrt(P[at, at] + P[at + 1, at + 1])
         offsets[last] = -1

@@ -64,6 +64,7 @@ def enter(slam, register, index, robot, target, size, G, noise):  # type: ignore
     slam.size[0] = n + size
     register.offsets[index], register.sizes[index] = n, size
     register.sightings[index] = 1
+    register.spread[index] = math.sqrt(slam.covariance[n, n] + slam.covariance[n + 1, n + 1])
 
 
 # A point from one sighting -----------------------------------------------------------------------

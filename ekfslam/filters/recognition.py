@@ -34,7 +34,7 @@ from ekfslam.filters.options import (
     NEAREST,
     SMALLEST_DISTANCE,
 )
-from ekfslam.filters.upkeep import feasible
+from ekfslam.filters.visibility import feasible
 from ekfslam.geometry import Array
 
 ACCEPTED, NEW = int(Decision.ACCEPTED), int(Decision.NEW)
@@ -197,13 +197,8 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
             m += 1
             noise = max(noise, spread(kind, sightings.values[i], sightings.covariance[i]))
     rows = rows[:m]
-    candidates = np.empty(register.used[0], np.int64)
-    count = 0
-    for index in range(register.used[0]):
-        if register.offsets[index] >= 0 and feasible(state, robot, mount, limits, noise, index):
-            candidates[count] = index
-            count += 1
-    candidates = candidates[:count]
+    candidates = feasible(state.slam, register, robot, mount, limits, noise)
+    count = candidates.size
     distances, logdets = np.full((m, count), np.inf), np.zeros((m, count))
     points = np.full((m if uses_points(settings.method) else 0, count), np.inf)
     accept, new = np.empty(m), np.empty(m)

@@ -13,13 +13,13 @@ import numpy as np
 from ekfslam.association.descriptors import running_mean
 from ekfslam.compiled import compiled
 from ekfslam.estimates import Decision, Linearizations
-from ekfslam.filters.kernels import remove, replace, wrap
+from ekfslam.filters.kernels import remove, replace
 from ekfslam.filters.measure import INVERSE_DEPTH, POINT, POSE, point_of
+from ekfslam.filters.visibility import SURE, sighted, surely_sees
 from ekfslam.models.landmarks import linearity
 
 ACCEPTED, NEW, REJECTED = int(Decision.ACCEPTED), int(Decision.NEW), int(Decision.REJECTED)
 CONVERTED = Linearizations.CONVERTED
-SURE = 3.0  # sigmas by which a landmark must be inside the view before a miss counts
 
 
 @compiled
@@ -98,43 +98,8 @@ def to_points(state, sightings, first, last, settings, log, journal):  # type: i
         replace(mean, P, slam.size[0], at, INVERSE_DEPTH, point, POINT, J)
         slam.size[0] -= INVERSE_DEPTH - POINT
         register.sizes[index] = POINT
+        register.spread[index] = math.sqrt(P[at, at] + P[at + 1, at + 1])
         close_up(state, at, INVERSE_DEPTH - POINT)
-
-
-@compiled
-def sighted(state, index, robot, mount):  # type: ignore[no-untyped-def]
-    """Where a sensor should see a point: range, bearing, and one sigma of its place [m].
-
-    The sigma leaves correlations out, and so is cautious.
-    """
-    mean, P = state.slam.mean, state.slam.covariance
-    at, pose = state.register.offsets[index], 3 * robot
-    c, s = math.cos(mean[pose + 2]), math.sin(mean[pose + 2])
-    x = mean[at] - mean[pose] - c * mount[0] + s * mount[1]
-    y = mean[at + 1] - mean[pose + 1] - s * mount[0] - c * mount[1]
-    distance = math.sqrt(x * x + y * y)
-    variance = P[at, at] + P[at + 1, at + 1] + P[pose, pose] + P[pose + 1, pose + 1]
-    variance += distance * distance * P[pose + 2, pose + 2]
-    bearing = wrap(math.atan2(y, x) - mean[pose + 2] - mount[2])
-    return distance, bearing, math.sqrt(max(variance, 0.0))
-
-
-@compiled
-def feasible(state, robot, mount, limits, noise, index):  # type: ignore[no-untyped-def]
-    """Whether a landmark may be visible (Solà, 2.4): up to three sigmas outside of the view.
-
-    Parameters
-    ----------
-    noise : float
-        Largest standard deviation of a sighting, as a length [m].
-    """
-    if state.register.sizes[index] != POINT:
-        return True
-    distance, bearing, sigma = sighted(state, index, robot, mount)
-    slack = SURE * (sigma + noise)
-    if distance < limits[0] - slack or distance > limits[1] + slack:
-        return False
-    return distance <= slack or abs(bearing) <= limits[2] + math.asin(slack / distance)
 
 
 @compiled
@@ -165,25 +130,27 @@ def keep_evidence(state, sightings, first, last, settings, log):  # type: ignore
     A miss counts only for a landmark that is inside the view by three sigmas all around. The count
     starts at 0 and never exceeds `forget`; at ``-forget`` the landmark is deleted.
     """
-    register = state.register
-    robot, mount, limits = sightings.robot[first], sightings.mount[first], sightings.limits[first]
+    register, mean, P = state.register, state.slam.mean, state.slam.covariance
+    offsets, sizes, evidence = register.offsets, register.sizes, register.evidence
+    pose, mount, limits = (
+        3 * sightings.robot[first],
+        sightings.mount[first],
+        sightings.limits[first],
+    )
     seen = np.zeros(register.used[0], np.bool_)
     for i in range(first, last):
         if log.landmark[i] >= 0 and log.decision[i] in (ACCEPTED, NEW):
             seen[log.landmark[i]] = True
-    for index in range(register.used[0]):
-        if register.offsets[index] < 0 or register.sizes[index] != POINT:
+    for index in range(seen.size):
+        if offsets[index] < 0 or sizes[index] != POINT:
             continue
         if seen[index]:
-            register.evidence[index] = min(register.evidence[index] + 1, settings.forget)
+            evidence[index] = min(evidence[index] + 1, settings.forget)
             continue
-        distance, bearing, sigma = sighted(state, index, robot, mount)
-        slack = SURE * sigma
-        if limits[0] + slack < distance < limits[1] - slack and (
-            limits[2] >= math.pi or abs(bearing) + math.asin(min(1.0, slack / distance)) < limits[2]
-        ):
-            register.evidence[index] -= 1
-            if register.evidence[index] <= -settings.forget:
+        distance, bearing, sigma = sighted(mean, P, offsets[index], pose, mount)
+        if surely_sees(distance, bearing, SURE * sigma, limits):
+            evidence[index] -= 1
+            if evidence[index] <= -settings.forget:
                 delete(state, index)
 
 

@@ -214,6 +214,7 @@ def settle_waiting(state, index, settings, journal):  # type: ignore[no-untyped-
     append(slam.mean, slam.covariance, n, poses, target, POINT, G, noise)
     slam.size[0] = n + POINT
     register.offsets[index], register.sizes[index], register.sightings[index] = n, POINT, m
+    register.spread[index] = math.sqrt(slam.covariance[n, n] + slam.covariance[n + 1, n + 1])
     linear_correction(state, places, pair, point, H, z, variances, n, settings)
     for k in range(m):
         waiting.row[places[k]] = -1

@@ -1,0 +1,147 @@
+"""Which landmarks may be visible (the feasible observations of Solà, 2.4)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ekfslam.association.index import build, near
+from ekfslam.compiled import compiled
+from ekfslam.filters.kernels import wrap
+from ekfslam.filters.measure import POINT, POSE
+
+SURE = 3.0  # sigmas
+LARGE = 1000  # landmarks from which the spatial index pays
+
+
+@compiled
+def sighted(mean, P, at, pose, mount):  # type: ignore[no-untyped-def]
+    """Where a sensor should see a point: range, bearing, and one sigma of its place [m].
+
+    The sigma leaves correlations out, and so is cautious.
+
+    Parameters
+    ----------
+    mean, P
+        The map.
+    at, pose : int
+        First coordinates of the point and of the robot's pose.
+    mount : (3,) ndarray
+    """
+    c, s = math.cos(mean[pose + 2]), math.sin(mean[pose + 2])
+    x = mean[at] - mean[pose] - c * mount[0] + s * mount[1]
+    y = mean[at + 1] - mean[pose + 1] - s * mount[0] - c * mount[1]
+    distance = math.sqrt(x * x + y * y)
+    variance = P[at, at] + P[at + 1, at + 1] + P[pose, pose] + P[pose + 1, pose + 1]
+    variance += distance * distance * P[pose + 2, pose + 2]
+    bearing = wrap(math.atan2(y, x) - mean[pose + 2] - mount[2])
+    return distance, bearing, math.sqrt(max(variance, 0.0))
+
+
+@compiled
+def may_see(distance, bearing, slack, limits):  # type: ignore[no-untyped-def]
+    """Whether a point is inside the view, or outside by no more than a length."""
+    if distance < limits[0] - slack or distance > limits[1] + slack:
+        return False
+    return distance <= slack or abs(bearing) <= limits[2] + math.asin(slack / distance)
+
+
+@compiled
+def surely_sees(distance, bearing, slack, limits):  # type: ignore[no-untyped-def]
+    """Whether a point is inside the view by more than a length all around."""
+    if distance < limits[0] + slack or distance > limits[1] - slack or distance <= slack:
+        return False
+    return limits[2] >= math.pi or abs(bearing) + math.asin(slack / distance) < limits[2]
+
+
+@compiled
+def feasible(slam, register, robot, mount, limits, noise):  # type: ignore[no-untyped-def]
+    """Register indices of the landmarks that may be visible, ascending.
+
+    Inside the view by three sigmas; all directions of open distance. Large maps are not scanned:
+    a grid, sorted anew since corrections move everything, names those in range.
+
+    Parameters
+    ----------
+    slam : MapArrays
+    register : Register
+    robot : int
+    mount, limits : (3,) ndarray
+        Of the sensor.
+    noise : float
+        Standard deviation of a sighting, as a length [m].
+    """
+    mean, P, offsets, sizes = slam.mean, slam.covariance, register.offsets, register.sizes
+    count, pose = register.used[0], POSE * robot
+    if count >= LARGE and limits[1] < np.inf:
+        some = in_range(slam, register, pose, mount, limits[1], noise)
+    else:
+        some = np.arange(count)
+    found = np.empty(some.size, np.int64)
+    n = 0
+    for k in range(some.size):
+        index = some[k]
+        at = offsets[index]
+        if at < 0:
+            continue
+        if sizes[index] == POINT:
+            distance, bearing, sigma = sighted(mean, P, at, pose, mount)
+            if not may_see(distance, bearing, SURE * (sigma + noise), limits):
+                continue
+        found[n] = index
+        n += 1
+    return found[:n]
+
+
+@compiled
+def in_range(slam, register, pose, mount, reach, noise):  # type: ignore[no-untyped-def]
+    """Register indices of what may be in the range of a sensor, by a spatial index, ascending.
+
+    No landmark's variance ever grows (Dissanayake et al. 2001), so the largest that any had when
+    it was mapped bounds them all.
+    """
+    mean, P, offsets, sizes = slam.mean, slam.covariance, register.offsets, register.sizes
+    count = register.used[0]
+    positions, which = np.empty((count, 2)), np.empty(count, np.int64)
+    others = np.empty(count, np.int64)
+    points, rest, spread = 0, 0, 0.0
+    for index in range(count):
+        if offsets[index] < 0:
+            continue
+        if sizes[index] == POINT:
+            at = offsets[index]
+            positions[points, 0], positions[points, 1] = mean[at], mean[at + 1]
+            which[points] = index
+            spread = max(spread, register.spread[index])
+            points += 1
+        else:
+            others[rest] = index
+            rest += 1
+    c, s = math.cos(mean[pose + 2]), math.sin(mean[pose + 2])
+    x = mean[pose] + c * mount[0] - s * mount[1]
+    y = mean[pose + 1] + s * mount[0] + c * mount[1]
+    own = P[pose, pose] + P[pose + 1, pose + 1]
+    # A landmark at distance r is in range if r - 3 (sigma(r) + noise) <= reach; with the sigma of
+    # the heading t, sigma(r) <= sqrt(spread^2 + own) + r t.
+    share = 1.0 - SURE * math.sqrt(max(P[pose + 2, pose + 2], 0.0))
+    radius = reach + SURE * (math.sqrt(spread * spread + max(own, 0.0)) + noise)
+    if share < 0.1:  # a heading that says nothing
+        radius = np.inf
+    else:
+        radius /= share
+    hits = np.empty(points, np.int64)
+    if radius < np.inf:
+        grid = build(positions, points, max(radius, 1e-3))
+        n = near(grid, x, y, radius, hits)
+    else:
+        n = points
+        hits[:] = np.arange(points)
+    found = np.empty(n + rest, np.int64)
+    for k in range(n):
+        found[k] = which[hits[k]]
+    for k in range(rest):
+        found[n + k] = others[k]
+    if rest > 0:
+        found.sort()
+    return found
