@@ -16,7 +16,8 @@ from ekfslam import geometry as geo
 from ekfslam.datasets import load_recorded, victoria_park
 from ekfslam.errors import FileFormatError, InputError, UnknownNameError
 from ekfslam.estimates import OK
-from ekfslam.filters.ekf import UPDATES, Ekf
+from ekfslam.filters.ekf import Ekf
+from ekfslam.filters.options import UPDATES
 
 
 @cache
