@@ -13,7 +13,7 @@ import numpy as np
 
 from baselines import keys
 from baselines.association import Association
-from baselines.entry import all_at_once, notes, rows_of
+from baselines.entry import all_at_once, notes, rows_of, warm_up
 from baselines.landmark_graph import (
     ODOMETRY_FLOOR,
     LandmarkGraph,
@@ -91,7 +91,8 @@ class GtsamBatch:
         UnsupportedError
             If the graph cannot be built, see `baselines.landmark_graph`.
         """
-        source = ready(self.initial)
+        warm_up(dataset)
+        source = ready(self.initial, dataset)
         started = time.perf_counter()
         first = source if isinstance(source, Estimate) else source.estimate(dataset)
         named = first.association in ("", "known")  # else it names landmarks as it finds them
@@ -187,12 +188,13 @@ def in_words(failure: RuntimeError) -> str:
     return f"indeterminate system near {keys.key_name(int(variable[1]))}"
 
 
-def ready(source: Any) -> Any:
-    """An estimate, or the estimator of a name, compiled before any clock starts."""
+def ready(source: Any, dataset: Dataset) -> Any:
+    """An estimate, or the estimator of a name, compiled for a dataset before any clock starts."""
     if isinstance(source, Estimate):
         return source
     estimator = resolve(source)
-    getattr(estimator, "warm_up", lambda: None)()
+    if hasattr(estimator, "warm_up"):
+        estimator.warm_up(dataset)
     return estimator
 
 

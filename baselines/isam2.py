@@ -12,7 +12,7 @@ import numpy as np
 from baselines import keys
 from baselines.association import Association
 from baselines.batch import in_words, ready, recovered
-from baselines.entry import Entrance, notes, rows_of
+from baselines.entry import Entrance, notes, rows_of, warm_up
 from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph, pose_covariances
 from baselines.noise import chosen
 from ekfslam.dataset import Dataset
@@ -86,7 +86,9 @@ class GtsamIsam2:
         UnsupportedError
             If the graph cannot be built, see `baselines.landmark_graph`.
         """
-        source = None if dataset.association_known else ready(self.association)
+        warm_up(dataset)
+        known = dataset.association_known
+        source = None if known else ready(self.association, dataset)
         started = time.perf_counter()
         if source is None:
             association = Association.known(dataset)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass
-from functools import cache
 
 import numpy as np
 
-from ekfslam.dataset import Dataset, Prior, Sightings
+from ekfslam.dataset import Dataset, Sightings
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import (
     DIVERGED,
@@ -57,9 +56,10 @@ class Ekf(Options):
         """
         return self._run(dataset, progress, Journal.of(0))
 
-    def warm_up(self) -> None:
-        """Compile, or load from disk, so that no clock has to count it."""
-        _warm_up()
+    def warm_up(self, dataset: Dataset) -> None:
+        """Compile, or load from disk, what a dataset needs, so that no clock has to count it."""
+        association = self._association(dataset)
+        self._prepare(dataset, association, _kinds(dataset), Journal.of(0))
 
     def linearizations(self, dataset: Dataset) -> tuple[Estimate, Linearizations]:
         """Estimate a dataset and tell every linearisation that was used.
@@ -99,13 +99,30 @@ class Ekf(Options):
             return ids[ids >= 0]
         return np.arange(len(dataset.observations))
 
+    def _association(self, dataset: Dataset) -> str:
+        """The method: as stated, or what the dataset allows."""
+        return self.association or ("known" if dataset.association_known else "nearest")
+
+    def _prepare(
+        self, dataset: Dataset, association: str, kinds: set[int], journal: Journal
+    ) -> None:
+        """Compile for such arrays as a run has, on a filter that holds nothing."""
+        priors = [robot.prior for robot in dataset.robots]
+        noted = len(journal.event) > 0
+        known = 1 if association == "known" else 0
+        engine = Engine(priors, self, association, kinds, known, noted)
+        moves = tuple(array[:, :1].copy() for array in dataset.moves)
+        nothing = Sightings(*(column[:0].copy() for column in dataset.sightings))
+        log = Log.of(len(priors), 1, 0, int(Decision.REJECTED))
+        engine.prepare(moves, dataset.offsets[:1].copy(), nothing, log, journal)
+
     def _run(self, dataset: Dataset, progress: Progress | None, journal: Journal) -> Estimate:
-        association = self.association or ("known" if dataset.association_known else "nearest")
-        kinds = {int(kind) for kind in np.unique(dataset.sightings.kind)}
+        association, kinds = self._association(dataset), _kinds(dataset)
         nearest = dataset.sightings.limits[dataset.sightings.kind == BEARING, 0]
         check_views(self, association, kinds, float(nearest.min(initial=np.inf)))
         steps = dataset.poses
-        _warm_up()
+        noted = len(journal.event) > 0
+        self._prepare(dataset, association, kinds, journal)
         started = time.perf_counter()
         moves = tuple(array.copy() for array in dataset.moves)
         offsets = dataset.offsets.copy()
@@ -116,7 +133,7 @@ class Ekf(Options):
         sightings = sightings._replace(landmark=np.maximum(codes, -1).astype(np.int64))
         priors = [robot.prior for robot in dataset.robots]
         landmarks = len(ids) if association == "known" else 0
-        engine = Engine(priors, self, association, kinds, landmarks, noted=len(journal.event) > 0)
+        engine = Engine(priors, self, association, kinds, landmarks, noted)
         log = Log.of(len(priors), steps, len(codes), int(Decision.REJECTED))
         k, why = 0, DONE
         chunk = steps if progress is None else max(1, steps // 100)
@@ -160,14 +177,6 @@ class Ekf(Options):
         )
 
 
-@cache
-def _warm_up() -> None:
-    """Compile, or load from disk, before the clock of the first estimate starts."""
-    none = np.zeros(0, np.int64)
-    shapes = {"mount": 3, "values": 2, "limits": 3}
-    columns = {name: np.zeros((0, width)) for name, width in shapes.items()}
-    rest = dict.fromkeys(("kind", "landmark", "look", "robot", "target"), none)
-    nothing = Sightings(**columns, **rest, covariance=np.zeros((0, 2, 2)), descriptor=np.zeros(0))
-    engine = Engine([Prior()], Options(), "known", set(), 1)
-    still = np.zeros((1, 1, 3)), np.zeros((1, 1, 3, 3))
-    engine.run(0, 1, still, np.zeros(2, np.int64), nothing, Log.of(1, 1, 0, 0), Journal.of(0))
+def _kinds(dataset: Dataset) -> set[int]:
+    """Codes of the views in a dataset."""
+    return {int(kind) for kind in np.unique(dataset.sightings.kind)}

@@ -9,7 +9,7 @@ import numpy as np
 
 from ekfslam.association.assignment import global_nearest_neighbour
 from ekfslam.association.nearest import NEW as NEW_LANDMARK
-from ekfslam.compiled import now
+from ekfslam.compiled import now, prepare
 from ekfslam.dataset import Prior, Sightings
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import LandmarkEstimates
@@ -29,7 +29,7 @@ from ekfslam.filters.gaussian_map import GaussianMap
 from ekfslam.filters.initiation import extend, note_corrections, note_points
 from ekfslam.filters.measure import BANKED, INVERSE_DEPTH, POINT, POSE
 from ekfslam.filters.options import BANK, DELAYED, GLOBAL, JOINT, OF_POINTS, Options
-from ekfslam.filters.partial import see_to_partial
+from ekfslam.filters.partial import prepare_partial, see_to_partial
 from ekfslam.filters.recognition import (
     Evidence,
     decide_jointly,
@@ -124,6 +124,38 @@ class Engine:
         if self.settings.ranges == BANK and len(self.bank.offsets) and missing > 0:
             more = Bank.of(missing, self.settings.hypotheses)
             self.bank = Bank(*map(np.concatenate, zip(self.bank, more, strict=True)))
+
+    def prepare(
+        self, moves: Any, offsets: np.ndarray, sightings: Sightings, log: Log, journal: Journal
+    ) -> None:
+        """Compile all that a run may need, so that no clock counts it."""
+        state, settings = self.state, self.settings
+        slam, register = self.slam.arrays, self.register
+        prepare(run, 0, 0, *moves, offsets, sightings, slam, register, settings, log)
+        if settings.plain:
+            return
+        look, scan = (state, sightings, 0, 0), (sightings, 0, 0)
+        if settings.method in (GLOBAL, JOINT):
+            prepare(robots_seen, *scan, log)
+            prepare(gather, *look, settings)
+            none, table, row = np.zeros(0, dtype=np.int64), np.zeros((0, 0)), np.zeros(0)
+            evidence = Evidence(none, none, table, table, table, row, row)
+            prepare(settle, state, sightings, evidence, none, settings, log)
+            if settings.method == JOINT:
+                prepare(decide_jointly, state, sightings, evidence, settings, none)
+        else:
+            prepare(recognise, *look, settings, log)
+        prepare(end_of_look, *scan)
+        prepare(update, slam, register, *scan, settings, log)
+        prepare(extend, slam, register, *scan, settings, log)
+        prepare(write_step, slam, 0, settings, log)
+        if len(journal.event):
+            prepare(note_corrections, *look, log, journal)
+            prepare(note_points, *look, settings, log, journal)
+        if settings.partial:
+            prepare_partial(state, sightings, settings, log, journal)
+        if settings.corrupt or settings.forget or settings.descriptor_variance:
+            prepare(upkeep, *look, settings, log)
 
     # Steps --------------------------------------------------------------------------------------
 

@@ -5,13 +5,14 @@ Apart from the compiled loop, since it is rare: once in the map, a landmark is l
 
 from __future__ import annotations
 
+from ekfslam.compiled import prepare
 from ekfslam.dataset import Sightings
 from ekfslam.estimates import Decision
 from ekfslam.filters.arrays import Journal, Log, State
 from ekfslam.filters.hypotheses import start_bank, update_bank
 from ekfslam.filters.initiation import start_direction, start_uninformed, starts_as_point
 from ekfslam.filters.measure import BANKED
-from ekfslam.filters.options import DELAYED, Settings
+from ekfslam.filters.options import DELAYED, MAPPED, Settings
 from ekfslam.filters.upkeep import to_points
 from ekfslam.filters.waiting import use_waiting, wait
 from ekfslam.models.sensors import BEARING, RANGE
@@ -47,3 +48,21 @@ def see_to_partial(
             if len(state.waiting.row) and kind != RANGE:
                 use_waiting(state, index, settings, journal)
     to_points(state, sightings, first, last, settings, log, journal)
+
+
+def prepare_partial(
+    state: State, sightings: Sightings, settings: Settings, log: Log, journal: Journal
+) -> None:
+    """Compile what `see_to_partial` may call with such state."""
+    one = state, sightings, 0
+    prepare(starts_as_point, 0, settings)
+    prepare(start_direction, *one, log, journal)
+    prepare(to_points, *one, 0, settings, log, journal)
+    if settings.initiation != MAPPED:
+        prepare(start_uninformed, *one, settings, log, journal)
+    if len(state.waiting.row):
+        prepare(wait, *one, settings, log, journal)
+        prepare(use_waiting, state, 0, settings, journal)
+    if len(state.bank.offsets):
+        prepare(start_bank, *one, settings, log)
+        prepare(update_bank, *one, settings, log)
