@@ -3,6 +3,11 @@
 A Kalman filter is an exact solver of linear Gaussian problems. So the Gaussian factor graph made of
 a filter's own linearisations must give back its final poses, map and joint covariance to round-off;
 any slip in the bookkeeping of the filter shows.
+
+Noise may be singular: of a start that is known, of a motion with two control noises, of a landmark
+in inverse depth, whose first two coordinates are the sensor's. gtsam takes that as constraints, but
+drops what is below 1e-9 when it eliminates them, which leaves an answer right to 1e-7 or so. Here
+such quantities are linear forms of regular unknowns.
 """
 
 from __future__ import annotations
@@ -14,14 +19,15 @@ import gtsam
 import numpy as np
 from gtsam import noiseModel
 
-from baselines.keys import indices, is_landmark, landmark_key, pose_key
 from ekfslam import geometry as geo
 from ekfslam.estimates import Linearizations
 from ekfslam.geometry import Array
 from ekfslam.robots import Prior
 
-NEGLIGIBLE = 1e-15  # an eigenvalue this small beside the largest is an exact constraint
-RANK = 1e-10  # of exact constraints, beside the strongest: below it they repeat each other
+NEGLIGIBLE = 1e-15  # a variance this small beside the largest is none
+REGULAR = 1e-3  # a standard deviation this large beside the largest is good to divide by
+POSES, LANDMARKS = 1 << 40, 1 << 41  # first keys; poses in order of time
+TERMS = 3  # that gtsam takes in one factor from Python
 
 
 class OracleSolution(NamedTuple):
@@ -51,12 +57,70 @@ class OracleSolution(NamedTuple):
     covariance: Array
 
 
-class _Landmark(NamedTuple):
-    """A landmark now: ``anchor + matrix d``, with d the unknown of one of the variables."""
+class _Form(NamedTuple):
+    """A pose or a landmark as a linear form ``anchor + sum matrix x`` of unknowns x."""
 
-    variable: int
     anchor: Array
-    matrix: Array
+    terms: dict[int, Array]  # matrices by key
+
+
+class _Problem:
+    """The linear problem as a graph."""
+
+    def __init__(self) -> None:
+        self._graph = gtsam.GaussianFactorGraph()
+        self._widths: dict[int, int] = {}
+
+    def add(self, terms: dict[int, Array], right: Array, axes: Array, sigmas: Array) -> None:
+        """Add ``sum A x = right + noise``, whitened along the axes of the noise.
+
+        Where there are too many terms, some are lumped into one that has half of the variance to
+        itself, which is the same when it is eliminated.
+        """
+        while len(terms) > TERMS:
+            key, sigmas = len(self._widths), sigmas / np.sqrt(2)
+            lump = {**dict(list(terms.items())[1 - TERMS :]), key: -np.eye(len(right))}
+            self.add(lump, np.zeros(len(right)), axes, sigmas)
+            terms = {**dict(list(terms.items())[: 1 - TERMS]), key: np.eye(len(right))}
+        arguments = [part for key, A in terms.items() for part in (key, axes.T @ A)]
+        model = noiseModel.Diagonal.Sigmas(sigmas)
+        self._graph.add(gtsam.JacobianFactor(*arguments, axes.T @ right, model))
+        self._widths.update({key: A.shape[1] for key, A in terms.items()})
+
+    def add_prior(self, key: int, width: int) -> None:
+        """Add an unknown of independent standard normal coordinates, if it has any."""
+        if width:
+            self.add({key: np.eye(width)}, np.zeros(width), np.eye(width), np.ones(width))
+
+    def solve(self, asked: Sequence[_Form]) -> tuple[Array, Array]:
+        """Values of some forms, and their joint covariance.
+
+        Poses that none of them needs are eliminated by gtsam; what remains is solved densely.
+        """
+        needed = {key for form in asked for key in form.terms}
+        early, rest = gtsam.Ordering(), gtsam.Ordering()
+        columns, count = {}, 0
+        for key in sorted(self._widths):
+            if key < LANDMARKS and key not in needed:
+                early.push_back(key)
+            else:
+                rest.push_back(key)
+                columns[key] = slice(count, count + self._widths[key])
+                count = columns[key].stop
+        graph = self._graph
+        if early.size():
+            _, graph = graph.eliminatePartialSequential(early, gtsam.EliminateQR)
+        _, R = np.linalg.qr(np.column_stack(graph.jacobian(rest)))
+        wanted = np.zeros((sum(len(form.anchor) for form in asked), count))
+        row = 0
+        for form in asked:
+            end = row + len(form.anchor)
+            for key, A in form.terms.items():
+                wanted[row:end, columns[key]] = A
+            row = end
+        root = np.linalg.solve(R[:count, :count].T, wanted.T).T
+        anchors = np.concatenate([form.anchor for form in asked])
+        return anchors + root @ R[:count, count], root @ root.T
 
 
 def solve(priors: Sequence[Prior], linear: Linearizations) -> OracleSolution:
@@ -73,149 +137,143 @@ def solve(priors: Sequence[Prior], linear: Linearizations) -> OracleSolution:
     -------
     OracleSolution
     """
-    # Unknowns are differences from reference points, so that nothing is lost to large numbers.
-    reference = linear.motion_to
-    graph = gtsam.GaussianFactorGraph()
-    for robot, prior in enumerate(priors):
-        _add_motions(graph, robot, prior, linear)
-    landmarks: dict[int, _Landmark] = {}
-    sizes: list[int] = []  # of the variables of landmarks
+    problem = _Problem()
+    poses = [_chain(problem, prior, robot, linear) for robot, prior in enumerate(priors)]
+    landmarks: dict[int, _Form] = {}
     for i in range(len(linear.event)):
-        robot, k, rows, size = (
-            int(column[i]) for column in (linear.robot, linear.step, linear.rows, linear.size)
-        )
-        identity, target = int(linear.landmark[i]), int(linear.target[i])
+        rows, size = int(linear.rows[i]), int(linear.size[i])
+        target, identity, k = int(linear.target[i]), int(linear.landmark[i]), int(linear.step[i])
         H, H_target = linear.jacobian[i, :rows, :3], linear.jacobian[i, :rows, 3 : 3 + size]
         innovation, noise = linear.innovation[i, :rows], linear.noise[i, :rows, :rows]
-        pose, point = pose_key(k, robot), linear.point[i, 3 : 3 + size]
-        off = geo.additive_error(linear.point[i, :3], reference[robot, k])
+        point = linear.point[i, 3 : 3 + size]
+        pose = _through(H, poses[int(linear.robot[i])][k], linear.point[i, :3])
         if linear.event[i] == Linearizations.CREATED:
-            landmarks[identity] = _Landmark(len(sizes), point, np.eye(size))
-            key = landmark_key(len(sizes))
-            sizes.append(size)
-            _add(graph, [(pose, -H), (key, np.eye(size))], H @ off, noise)
+            landmarks[identity] = _created(problem, LANDMARKS + i, point, pose, noise)
         elif linear.event[i] == Linearizations.CONVERTED:
-            # A linear function of the variable that was: no need for another one.
-            variable, anchor, matrix = landmarks[identity]
-            anchor = innovation + H_target @ _beyond(anchor, point)
-            landmarks[identity] = _Landmark(variable, anchor, H_target @ matrix)
-        elif target >= 0:
-            away = geo.additive_error(point, reference[target, k])
-            terms = [(pose, H), (pose_key(k, target), H_target)]
-            _add(graph, terms, innovation - H @ off - H_target @ away, noise)
+            old = _through(H_target, landmarks[identity], point)
+            landmarks[identity] = _Form(innovation + old.anchor, old.terms)
         else:
-            variable, anchor, matrix = landmarks[identity]
-            terms = [(pose, H), (landmark_key(variable), H_target @ matrix)]
-            away = _beyond(anchor, point)
-            _add(graph, terms, innovation - H @ off - H_target @ away, noise)
-    return _solution(graph, reference[:, -1], landmarks, sizes)
+            seen = poses[target][k] if target >= 0 else landmarks[identity]
+            other = _through(H_target, seen, point)
+            right = innovation - pose.anchor - other.anchor
+            problem.add(_sum(pose.terms, other.terms), right, *_axes(noise))
+    points = {i: form for i, form in landmarks.items() if len(form.anchor) == 2}
+    rays = {i: form for i, form in landmarks.items() if len(form.anchor) == 4}
+    final = [chain[-1] for chain in poses]
+    values, covariance = problem.solve([*final, *points.values(), *rays.values()])
+    last, positions, depths = np.split(values, np.cumsum([3 * len(final), 2 * len(points)]))
+    last, depths = last.reshape(-1, 3), depths.reshape(-1, 4)
+    last[:, 2], depths[:, 2] = geo.wrap(last[:, 2]), geo.wrap(depths[:, 2])
+    ids, undetermined = (np.array(list(kind), dtype=np.int64) for kind in (points, rays))
+    return OracleSolution(last, ids, positions.reshape(-1, 2), undetermined, depths, covariance)
 
 
-def _beyond(landmark: Array, point: Array) -> Array:
-    """``landmark - point``, with the angle of an inverse depth wrapped."""
-    difference = landmark - point
+# Poses ------------------------------------------------------------------------------------------
+
+
+def _chain(problem: _Problem, prior: Prior, robot: int, linear: Linearizations) -> list[_Form]:
+    """Poses of one robot, from its prior through its motions.
+
+    A pose whose noise since the last unknown pose is regular becomes an unknown itself. Until then
+    poses are forms of the noises of their motions; when the next unknown pose comes, those are
+    exchanged for it and for what it leaves open of them.
+    """
+    before, after = linear.motion_from[robot], linear.motion_to[robot]
+    jacobian, noise = linear.motion_jacobian[robot], linear.motion_noise[robot].copy()
+    noise[0] += geo.congruence(jacobian[0], prior.covariance)
+    poses: list[_Form] = []
+    pose = _Form(prior.mean, {})
+    first, noises = 0, {}  # of the poses, and of the noises, since the last unknown pose
+    for k in range(len(after)):
+        pose = _through(jacobian[k], pose, before[k])
+        pose = _Form(after[k] + pose.anchor, pose.terms)
+        # Keys of one step: its pose, the noise of its motion, what is left open of noises.
+        key = POSES + 3 * (k * len(linear.motion_to) + robot)
+        axes, sigmas = _axes(noise[k])
+        if len(sigmas):
+            pose.terms[key + 1] = axes * sigmas
+            noises[key + 1] = len(sigmas)
+        since = np.concatenate([np.zeros((3, 0)), *(pose.terms[n] for n in noises)], axis=1)
+        U, S, V = np.linalg.svd(since)
+        if len(S) == 3 and S[2] > REGULAR * S[0]:
+            # since n = pose - what led to it, so n = into (pose - ...) + V[3:]' open
+            led = _Form(pose.anchor, {n: A for n, A in pose.terms.items() if n not in noises})
+            pose = _Form(after[k], {key: np.eye(3)})
+            ahead = _difference(pose, led)
+            problem.add(ahead.terms, -ahead.anchor, U, S)
+            problem.add_prior(key + 2, len(V) - 3)
+            ends = np.cumsum([0, *noises.values()])
+            for j, n in enumerate(noises):
+                rows = slice(ends[j], ends[j + 1])
+                into = _through(V[:3, rows].T @ (U / S).T, ahead, np.zeros(3))
+                whole = {**into.terms, key + 2: V[3:, rows].T} if len(V) > 3 else into.terms
+                for i in range(first, k):
+                    poses[i] = _replaced(poses[i], n, _Form(into.anchor, whole))
+            first, noises = k, {}
+        poses.append(pose)
+    for n, width in noises.items():
+        problem.add_prior(n, width)
+    return poses
+
+
+def _axes(covariance: Array) -> tuple[Array, Array]:
+    """Axes along which there is noise, as columns, and its standard deviations."""
+    variances, axes = np.linalg.eigh(covariance)
+    noisy = variances > NEGLIGIBLE * variances[-1]
+    return axes[:, noisy], np.sqrt(variances[noisy])
+
+
+# Linear forms -----------------------------------------------------------------------------------
+
+
+def _through(matrix: Array, form: _Form, point: Array) -> _Form:
+    """``matrix (form - point)``, with angles wrapped in the difference."""
+    off = _off(form.anchor, point)
+    return _Form(matrix @ off, {key: matrix @ A for key, A in form.terms.items()})
+
+
+def _off(anchor: Array, point: Array) -> Array:
+    """``anchor - point``; a pose and an inverse depth have an angle in the third place."""
+    difference = anchor - point
     difference[2:3] = geo.wrap(difference[2:3])
     return difference
 
 
-def _add_motions(
-    graph: gtsam.GaussianFactorGraph, robot: int, prior: Prior, linear: Linearizations
-) -> None:
-    """The chain of one robot's poses."""
-    before, after = linear.motion_from[robot], linear.motion_to[robot]
-    jacobian, noise = linear.motion_jacobian[robot], linear.motion_noise[robot]
-    first = geo.congruence(jacobian[0], prior.covariance) + noise[0]
-    moved = jacobian[0] @ geo.additive_error(before[0], prior.mean)
-    _add(graph, [(pose_key(0, robot), np.eye(3))], moved, first)
-    for k in range(1, len(after)):
-        drift = geo.additive_error(before[k], after[k - 1])
-        terms = [(pose_key(k - 1, robot), -jacobian[k]), (pose_key(k, robot), np.eye(3))]
-        _add(graph, terms, jacobian[k] @ drift, noise[k])
+def _difference(form: _Form, other: _Form) -> _Form:
+    opposite = {key: -A for key, A in other.terms.items()}
+    return _Form(_off(form.anchor, other.anchor), _sum(form.terms, opposite))
 
 
-def _add(
-    graph: gtsam.GaussianFactorGraph,
-    terms: list[tuple[int, Array]],
-    right: Array,
-    covariance: Array,
-) -> None:
-    """Add ``sum A x = right + noise``, whitened along the axes of the noise.
+def _replaced(form: _Form, key: int, by: _Form) -> _Form:
+    """A form with another one in the place of an unknown."""
+    if key not in form.terms:
+        return form
+    A = form.terms[key]
+    others = {k: B for k, B in form.terms.items() if k != key}
+    terms = _sum(others, {k: A @ B for k, B in by.terms.items()})
+    return _Form(form.anchor + A @ by.anchor, terms)
 
-    Directions without noise become exact constraints.
+
+def _sum(*parts: dict[int, Array]) -> dict[int, Array]:
+    """Terms of a sum."""
+    total: dict[int, Array] = {}
+    for part in parts:
+        for key, A in part.items():
+            total[key] = total[key] + A if key in total else A
+    return total
+
+
+def _created(problem: _Problem, key: int, point: Array, pose: _Form, noise: Array) -> _Form:
+    """A landmark ``point + G (pose - its point) + v``, with `pose` the middle term.
+
+    It is an unknown itself if v is regular; else what there is of v is the unknown.
     """
-    variances, axes = np.linalg.eigh(covariance)
-    variances = np.where(variances > NEGLIGIBLE * variances[-1], variances, 0.0)
-    arguments = [part for key, A in terms for part in (key, axes.T @ A)]
-    model = noiseModel.Constrained.MixedSigmas(1.0, np.sqrt(variances))
-    if variances.all():
-        model = noiseModel.Diagonal.Sigmas(np.sqrt(variances))
-    graph.add(gtsam.JacobianFactor(*arguments, axes.T @ right, model))
-
-
-def _solution(
-    graph: gtsam.GaussianFactorGraph,
-    poses: Array,
-    landmarks: dict[int, _Landmark],
-    sizes: list[int],
-) -> OracleSolution:
-    """Eliminate all poses but the last, solve what remains densely, and pick what is asked for."""
-    robots = len(poses)
-    chains = sorted(indices(key) for key in graph.keyVector() if not is_landmark(key))
-    early, rest = gtsam.Ordering(), gtsam.Ordering()
-    for step, robot, _ in chains[:-robots]:
-        early.push_back(pose_key(step, robot))
-    for step, robot, _ in chains[-robots:]:
-        rest.push_back(pose_key(step, robot))
-    for variable in range(len(sizes)):
-        rest.push_back(landmark_key(variable))
-    if early.size():
-        _, graph = graph.eliminatePartialSequential(early, gtsam.EliminateQR)
-    mean, covariance = _dense(graph, rest)
-    points = [i for i, landmark in landmarks.items() if len(landmark.anchor) == 2]
-    rays = [i for i, landmark in landmarks.items() if len(landmark.anchor) == 4]
-    chosen = [landmarks[i] for i in (*points, *rays)]
-    starts = np.cumsum([3 * robots, *sizes])
-    blocks = [np.eye(3 * robots, len(mean))]
-    for landmark in chosen:
-        block = np.zeros((len(landmark.anchor), len(mean)))
-        start, width = starts[landmark.variable], landmark.matrix.shape[1]
-        block[:, start : start + width] = landmark.matrix
-        blocks.append(block)
-    wanted = np.concatenate(blocks)
-    values = np.concatenate([poses.reshape(-1), *(landmark.anchor for landmark in chosen)])
-    values = values + wanted @ mean
-    split = np.cumsum([3 * robots, 2 * len(points)])
-    final, positions, depths = np.split(values, split)
-    final, depths = final.reshape(-1, 3), depths.reshape(-1, 4)
-    final[:, 2], depths[:, 2] = geo.wrap(final[:, 2]), geo.wrap(depths[:, 2])
-    return OracleSolution(
-        final,
-        np.array(points, dtype=np.int64),
-        positions.reshape(-1, 2),
-        np.array(rays, dtype=np.int64),
-        depths,
-        wanted @ covariance @ wanted.T,
-    )
-
-
-def _dense(graph: gtsam.GaussianFactorGraph, order: gtsam.Ordering) -> tuple[Array, Array]:
-    """Mean and covariance of all unknowns; exact constraints first, then least squares."""
-    A, b = graph.jacobian(order)
-    factors = [graph.at(i) for i in range(graph.size())]
-    exact = np.concatenate(
-        [
-            f.get_model().sigmas() == 0 if f.isConstrained() else np.zeros(f.rows(), dtype=bool)
-            for f in factors
-        ]
-    )
-    start, free = np.zeros(A.shape[1]), np.eye(A.shape[1])
-    if exact.any():
-        left, sizes, right = np.linalg.svd(A[exact])
-        rank = int((sizes > RANK * sizes[0]).sum())
-        start = right[:rank].T @ ((left[:, :rank].T @ b[exact]) / sizes[:rank])
-        free = right[rank:].T
-    A, b = A[~exact], b[~exact]
-    _, R = np.linalg.qr(np.column_stack([A @ free, b - A @ start]))
-    size = free.shape[1]
-    inverse = free @ np.linalg.inv(R[:size, :size])
-    return start + inverse @ R[:size, size], inverse @ inverse.T
+    axes, sigmas = _axes(noise)
+    if len(sigmas) == len(point):
+        landmark = _Form(point, {key: np.eye(len(point))})
+        off = {k: -A for k, A in pose.terms.items()}
+        problem.add(_sum(landmark.terms, off), pose.anchor, axes, sigmas)
+        return landmark
+    problem.add_prior(key, len(sigmas))
+    own = {key: axes * sigmas} if len(sigmas) else {}
+    return _Form(point + pose.anchor, _sum(pose.terms, own))
