@@ -141,9 +141,9 @@ class Linearizations:
     another robot at the same step) and point = (pose, target),
 
     - `OBSERVED`: ``innovation = jacobian ((x_k, m) - point) + v``, v of covariance ``noise``;
-    - `CREATED`: ``l = point[3:] + jacobian[:, :3] (x_k - point[:3]) + v``: from here on the identity
-      stands for a new variable of `size` coordinates; without an equation (`rows` is 0) if
-      nothing was known of it before its sightings;
+    - `CREATED`: ``l = point[3:] + jacobian[:, :3] (x_k - point[:3]) + v``: from here on the
+      identity stands for a new variable of `size` coordinates; without an equation (`rows` is 0)
+      if nothing was known of it before its sightings;
     - `CONVERTED`: ``l' = innovation + jacobian[:, 3:] (l - point[3:])`` without noise: from here on
       the identity stands for l', a point, made from l of four coordinates.
 

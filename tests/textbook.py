@@ -307,30 +307,32 @@ class _Run:
         )
 
     def linearizations(self) -> Linearizations:
-        motion = (np.array(column)[None] for column in zip(*self.motions, strict=True))
-        columns = [np.array(column) for column in zip(*self.sightings, strict=True)]
-        row, new, point, jacobian, innovation, noise, _ = columns
-        observations, none = self.dataset.observations, np.zeros(len(row), dtype=np.int64)
-
-        def wide(array: Any, *shape: int) -> Any:
-            padding = [(0, want - got) for want, got in zip(shape, array.shape[1:], strict=True)]
-            return np.pad(array, [(0, 0), *padding])
-
+        motion = [
+            np.array([[entry[column] for entry in motions] for motions in self.motions])
+            for column in range(4)
+        ]
+        count = len(self.events)
+        sizes = {"point": (7,), "jacobian": (4, 7), "innovation": (4,), "noise": (4, 4)}
+        columns = {name: np.zeros((count, *shape)) for name, shape in sizes.items()}
+        for e, event in enumerate(self.events):
+            for name, column in columns.items():
+                entry = np.asarray(getattr(event, name))
+                column[(e, *map(slice, entry.shape))] = entry
+        for name in ("event", "row", "robot", "step", "landmark", "target"):
+            columns[name] = np.array([getattr(event, name) for event in self.events])
         return Linearizations(
             *motion,
-            event=np.where(new, Linearizations.CREATED, Linearizations.OBSERVED),
-            row=row,
-            robot=none,
-            step=observations.step[row],
-            landmark=observations.landmark[row],
-            target=none - 1,
-            size=none + 2,
-            rows=none + 2,
-            point=wide(point, 7),
-            jacobian=wide(jacobian, 4, 7),
-            innovation=wide(innovation, 4),
-            noise=wide(noise, 4, 4),
+            size=np.array([len(event.point) - 3 for event in self.events]),
+            rows=np.array([len(event.innovation) for event in self.events]),
+            **columns,
         )
+
+
+def _on_the_ray(sensor: Sensor, pose: Any, landmark: Any, value: Any) -> Any:
+    """The inverse depth whose point is the nearest of its ray to where it was seen."""
+    ahead = np.array([np.cos(landmark[2]), np.sin(landmark[2])])
+    distance = ahead @ (sensor.locate(pose, value)[0] - landmark[:2])
+    return np.array([*landmark[:3], 1 / distance])
 
 
 TransposedJacobianEkf = partial(TextbookEkf, "transposed-jacobian")
