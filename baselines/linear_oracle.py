@@ -266,11 +266,14 @@ def _sum(*parts: dict[int, Array]) -> dict[int, Array]:
 def _created(problem: _Problem, key: int, point: Array, pose: _Form, noise: Array) -> _Form:
     """A landmark ``point + G (pose - its point) + v``, with `pose` the middle term.
 
-    It is an unknown itself if v is regular; else what there is of v is the unknown.
+    It is an unknown itself if v is regular, or if there is no such equation; else what there is of
+    v is the unknown.
     """
+    landmark = _Form(point, {key: np.eye(len(point))})
+    if not len(noise):
+        return landmark
     axes, sigmas = _axes(noise)
     if len(sigmas) == len(point):
-        landmark = _Form(point, {key: np.eye(len(point))})
         off = {k: -A for k, A in pose.terms.items()}
         problem.add(_sum(landmark.terms, off), pose.anchor, axes, sigmas)
         return landmark
