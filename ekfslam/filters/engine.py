@@ -114,12 +114,21 @@ class Engine:
             self.slam.arrays, self.register, self._tentative, self._waiting, self.bank, self._clock
         )
 
-    def make_room(self, rows: int) -> None:
-        """Enlarge what a step with so many observations could overflow."""
+    def make_room(self, rows: int, known: int = 0) -> None:
+        """Enlarge what a step with so many observations could overflow.
+
+        Parameters
+        ----------
+        rows : int
+            Observations.
+        known : int
+            Identities that there are, of landmarks in the map or not.
+        """
         settings = self.settings
         size = self.slam.size + settings.largest * rows + POSE * settings.robots
         self.slam.reserve(min(size, settings.most))
-        self.register = self.register.grown(2 * (int(self.register.used[0]) + rows))
+        if (indices := max(int(self.register.used[0]) + rows, known)) > len(self.register.offsets):
+            self.register = self.register.grown(2 * indices)
         missing = len(self.register.offsets) - len(self.bank.offsets)
         if self.settings.ranges == BANK and len(self.bank.offsets) and missing > 0:
             more = Bank.of(missing, self.settings.hypotheses)
@@ -210,8 +219,10 @@ class Engine:
         settings = self.settings
         while first < last:
             until = end_of_look(sightings, first, last) if settings.scan else first + 1
+            used = int(self.register.used[0])
             self.recognise(sightings, first, until, log)
             if not self._use(sightings, first, until, k, log, journal):
+                self.register.used[0] = used  # what failed leaves no landmarks behind
                 return False
             look = self.state, sightings, first, until
             if settings.partial:
@@ -325,6 +336,8 @@ def check_views(options: Options, association: str, kinds: set[int], nearest: fl
         raise UnsupportedError("ranges alone need association 'known'")
     if partial and options.confirm > 1:
         raise UnsupportedError("confirm needs sensors that determine a point")
+    if partial and options.initiation == "allocated":
+        raise UnsupportedError("initiation 'allocated' needs sensors that determine a point")
     if BEARING in kinds and options.bearings == "inverse-depth" and not nearest > 0:
         raise UnsupportedError(
             "the prior on the inverse depth of a bearing needs the sensor's min_range: state it"

@@ -114,7 +114,7 @@ def start_uninformed(state, sightings, i, settings, log, journal):  # type: igno
     G[:] = 0.0
     noise[:] = 0.0
     noise[0, 0] = noise[1, 1] = settings.variance
-    if settings.initiation == ALLOCATED:
+    if settings.initiation == ALLOCATED and register.offsets[index] >= 0:
         at = register.offsets[index]
         slam.mean[at : at + POINT] = target[:POINT]
         register.sightings[index] = 1

@@ -123,7 +123,7 @@ class EkfSlam:
             self._ids.setdefault(int(i), len(self._ids)) if i >= 0 else -1
             for i in seen.landmark.tolist()
         ]
-        self._engine.make_room(max(count, len(self._ids)))
+        self._engine.make_room(count, len(self._ids))
         seen = seen._replace(landmark=np.array(codes, dtype=np.int64))
         log = Log.of(1, 1, count, int(Decision.REJECTED))
         if not self._engine.observe(seen, log):

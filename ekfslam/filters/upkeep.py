@@ -160,8 +160,8 @@ def count_rejections(state, first, last, settings, log):  # type: ignore[no-unty
     register = state.register
     for i in range(first, last):
         index = log.landmark[i]
-        if index < 0 or log.decision[i] != REJECTED:
+        if index < 0 or log.decision[i] != REJECTED or register.offsets[index] < 0:
             continue
         register.rejections[index] += 1
-        if register.rejections[index] >= settings.corrupt and register.offsets[index] >= 0:
+        if register.rejections[index] >= settings.corrupt:
             delete(state, index)

@@ -14,7 +14,7 @@ from ekfslam.compiled import compiled
 from ekfslam.estimates import Decision, Linearizations
 from ekfslam.filters.journal import record
 from ekfslam.filters.kernels import append, correct, project, times_transposed
-from ekfslam.filters.measure import POINT, POSE, expect, innovate
+from ekfslam.filters.measure import POINT, POSE, expect, foresee, innovate, moved
 from ekfslam.filters.upkeep import drop
 from ekfslam.models.landmarks import fix
 
@@ -256,24 +256,23 @@ def linear_correction(state, places, skip, point, H, z, variances, at, settings)
 
 @compiled
 def use_waiting(state, index, settings, journal):  # type: ignore[no-untyped-def]
-    """A landmark is mapped by a full view: what waited for it corrects it now."""
+    """A landmark is mapped by another view: what waited for it corrects it now."""
     waiting, slam = state.waiting, state.slam
-    at, d = state.register.offsets[index], 1
-    expected, H, z = np.zeros(2), np.zeros((2, 7)), np.zeros(2)
-    value = np.zeros(2)
+    at, size, d = state.register.offsets[index], state.register.sizes[index], 1
+    point, H, z, value = np.zeros(4), np.zeros((2, 7)), np.zeros(2), np.zeros(2)
     for w in waiting_for(state, index):
         clone = waiting.clone[w]
         pose, kind, n = waiting.clones[clone], waiting.kind[w], slam.size[0]
-        past, there = slam.mean[pose : pose + POSE], slam.mean[at : at + POINT]
+        past, there = slam.mean[pose : pose + POSE], slam.mean[at : at + size]
         value[0] = waiting.value[w]
-        expect(kind, POINT, waiting.mount[w], past, there, expected, H)
-        innovate(kind, value, expected, z)
+        foresee(kind, size, waiting.mount[w], past, there, value, point, H, z)
         R = np.array([[waiting.variance[w], 0.0], [0.0, 0.0]])
         robot, step, row = waiting.robot[clone], waiting.step[clone], waiting.row[w]
-        record(journal, OBSERVED, row, robot, step, index, -1, POINT, d, past, there, H, z, R)
+        record(journal, OBSERVED, row, robot, step, index, -1, size, d, past, point, H, z, R)
+        z[0] = moved(z, H, there, point, size, 0)
         rows, S = np.empty((d, n)), np.empty((d, d))
-        project(slam.covariance, n, pose, at, POINT, H, d, rows)
-        S[0, 0] = times_transposed(rows[0], pose, at, POINT, H, 0) + waiting.variance[w]
+        project(slam.covariance, n, pose, at, size, H, d, rows)
+        S[0, 0] = times_transposed(rows[0], pose, at, size, H, 0) + waiting.variance[w]
         correct(slam.mean, slam.covariance, n, rows, S, z, d, settings.robots)
         waiting.row[w] = -1
     free_clones(state)
