@@ -33,8 +33,10 @@ from ekfslam.simulation import load_scenario, simulate
 RIGID_MOTION = np.array([50.0, -30.0, 2.0])
 SCALES = (1 / 12, 1 / 24, 1 / 48)  # above, the second order of the gap can hide the first
 SLIP = 1e-4 / SCALES[-1]  # [m]; keeps lateral noise above what smoothers can take for regular
+FLOOR = 3e-5  # [m], [rad]; of the batch: below the noise of every motion that is scaled down
+FLOOR = 1e-5  # of odometry noise in the smoother (m, rad): below all that the scales leave
 DRAWS = 4  # the gap of a single draw can pass through zero on its way
-STEP = 1e-6  # of central differences, whose own error is then near 1e-9
+STEP = 1e-5  # of central differences, whose own error is then near 1e-10
 SMALL_NOISE = "gap to batch shrinks with the square of the noise"
 
 
@@ -113,13 +115,17 @@ def _needs_points(dataset: Dataset) -> None:
 def central_differences(function: Callable[[Array], Array], point: Array) -> Array:
     """Derivative of a vectorised function: (n, d) -> (n, m) gives (n, m, d).
 
-    The function returns differences from its value at `point`, so that angles can be wrapped.
+    Differences over one and two steps to either side are combined, so that their error falls with
+    the fourth power of the step. The function returns differences from its value at `point`, so
+    that angles can be wrapped.
     """
     columns = []
     for axis in range(point.shape[1]):
         nudge = np.zeros(point.shape[1])
         nudge[axis] = STEP
-        columns.append((function(point + nudge) - function(point - nudge)) / (2 * STEP))
+        near = function(point + nudge) - function(point - nudge)
+        far = function(point + 2 * nudge) - function(point - 2 * nudge)
+        columns.append((8 * near - far) / (12 * STEP))
     return np.stack(columns, axis=-1)
 
 
@@ -312,7 +318,8 @@ def _gap(subject: Estimator, data: Dataset) -> float:
     _, ours, landmarks = _estimate(subject, data)
     if not len(landmarks):
         raise UnsupportedError("needs an estimator of landmarks")
-    _, best, best_landmarks = _estimate(resolve("gtsam-batch", marginals=False), data)
+    smoother = resolve("gtsam-batch", marginals=False, odometry_floor=FLOOR)
+    _, best, best_landmarks = _estimate(smoother, data)
     final = (ours.poses - best.poses)[..., -1, :2].reshape(-1, 2)
     shared = best_landmarks.positions[_by_id(best_landmarks.ids, landmarks.ids)]
     apart = np.concatenate([final, landmarks.positions - shared])
