@@ -33,7 +33,6 @@ from ekfslam.simulation import load_scenario, simulate
 RIGID_MOTION = np.array([50.0, -30.0, 2.0])
 SCALES = (1 / 12, 1 / 24, 1 / 48)  # above, the second order of the gap can hide the first
 SLIP = 1e-4 / SCALES[-1]  # [m]; keeps lateral noise above what smoothers can take for regular
-FLOOR = 3e-5  # [m], [rad]; of the batch: below the noise of every motion that is scaled down
 FLOOR = 1e-5  # of odometry noise in the smoother (m, rad): below all that the scales leave
 DRAWS = 4  # the gap of a single draw can pass through zero on its way
 STEP = 1e-5  # of central differences, whose own error is then near 1e-10
