@@ -1,4 +1,4 @@
-"""The notebooks run from top to bottom."""
+"""The notebooks run from top to bottom, without a warning, and show what they draw."""
 
 from __future__ import annotations
 
@@ -11,17 +11,30 @@ from nbclient import NotebookClient
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 
 
+def draws(cell):
+    """Whether a cell makes a figure, as a method of the package or with its style."""
+    return ".plot_" in cell.source or "with drawing(" in cell.source
+
+
 @pytest.mark.filterwarnings("ignore")  # of the kernel's own event loop
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     client = NotebookClient(notebook, timeout=300, resources={"metadata": {"path": tmp_path}})
     client.execute()
-    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
-    pictures = [o for o in outputs if "image/png" in o.get("data", {})]
-    plots = [c for c in notebook.cells if c.cell_type == "code" and ".plot_" in c.source]
-    assert len(pictures) == len(plots)
+    for cell in notebook.cells:
+        outputs = cell.get("outputs", ())
+        pictures = [o for o in outputs if "image/png" in o.get("data", {})]
+        assert len(pictures) == (cell.cell_type == "code" and draws(cell))
+        assert not [o for o in outputs if o.get("name") == "stderr"]
 
 
-def test_there_is_a_notebook():
-    assert NOTEBOOKS
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_is_kept_without_outputs(path):
+    for cell in nbformat.read(path, as_version=4).cells:
+        assert not cell.get("outputs")
+        assert cell.get("execution_count") is None
+
+
+def test_there_are_notebooks():
+    assert [path.stem for path in NOTEBOOKS] == ["01_quickstart", "02_from_the_texts"]
