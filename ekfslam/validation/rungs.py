@@ -26,7 +26,7 @@ from ekfslam.estimates import (
 from ekfslam.geometry import Array
 from ekfslam.models.landmarks import inverse_depth, observe_inverse_depth, to_point
 from ekfslam.models.motion import MotionModel
-from ekfslam.models.sensors import BEARING, Sensor
+from ekfslam.models.sensors import BEARING, RANGE, Sensor
 from ekfslam.registry import Estimator, linear_oracle, resolve
 from ekfslam.simulation import load_scenario, simulate
 
@@ -99,13 +99,11 @@ def _undetermined(landmarks: LandmarkEstimates) -> tuple[np.ndarray, Array]:
     return landmarks.undetermined, landmarks.inverse_depth
 
 
-def _needs_points(dataset: Dataset) -> None:
-    """Refuse bearings alone, for what they start rests on a prior that is not small as noise is."""
+def _refuse(dataset: Dataset, views: tuple[int, ...], reason: str) -> None:
+    """A question that some views do not allow."""
     for sensor in dataset.sensors:
-        if sensor.view.code == BEARING:
-            raise UnsupportedError(
-                f"bearings alone rest on a prior of the distance, whatever the noise: {sensor.name}"
-            )
+        if sensor.view.code in views:
+            raise UnsupportedError(f"{sensor.name} reports {sensor.kind} alone: {reason}")
 
 
 # 1 ----------------------------------------------------------------------------------------------
@@ -209,7 +207,7 @@ def _created(
 
 def zero_noise(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -> Measurement:
     """Estimate data drawn without noise (which still state theirs) and compare with the truth."""
-    _needs_points(dataset)
+    _refuse(dataset, (BEARING,), "the prior of its distance is not the truth")
     clean = simulate(scenario, seed=seed, draw=0.0)
     _, trajectory, landmarks = _estimate(subject, clean)
     assert clean.true_map is not None
@@ -286,7 +284,7 @@ def small_noise(subject: Estimator, dataset: Dataset, scenario: str, seed: int) 
     An EKF differs from the smoother in second order only; a wrong Jacobian or a wrong noise shows
     in first order, also where the filter's own linearisations hide it.
     """
-    _needs_points(dataset)
+    _refuse(dataset, (BEARING, RANGE), "how a landmark starts counts in first order")
     regular = load_scenario(scenario)
     regular = replace(
         regular,
