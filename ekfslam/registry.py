@@ -1,18 +1,22 @@
 """Estimators by name.
 
 Names come from the entry-point group ``ekfslam.estimators``; a package joins by declaring one.
-``module:attribute`` works wherever a name does. An estimator is an object with
+``module:attribute`` works wherever a name does, and options may follow either:
+``ekf(association=joint, confirm=3)``. An estimator is an object with
 ``estimate(dataset) -> Estimate``, or a class or function without arguments that makes one.
 """
 
 from __future__ import annotations
 
 import importlib
+import inspect
 import os
+import re
 import sys
+from ast import literal_eval
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
@@ -39,10 +43,104 @@ def registered() -> dict[str, EntryPoint]:
     return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda p: p.name)}
 
 
+class Call(NamedTuple):
+    """A name and the options that follow it, as in ``ekf(association=joint, confirm=3)``.
+
+    Attributes
+    ----------
+    name : str
+    options : dict
+        Values by name.
+    words : dict of str
+        The same as they were written.
+    """
+
+    name: str
+    options: dict[str, Any]
+    words: dict[str, str]
+
+    def __str__(self) -> str:
+        inside = ", ".join(f"{key}={word}" for key, word in self.words.items())
+        return f"{self.name}({inside})" if inside else self.name
+
+
+def parse(text: str) -> Call:
+    """Read a name with options.
+
+    Parameters
+    ----------
+    text : str
+        ``name`` or ``name(option=value, ...)``. A value is a Python literal, such as ``3``,
+        ``(5, 2.5)`` or ``None``; another word, such as ``maximum-likelihood`` or a name with
+        options of its own, stands for itself.
+
+    Raises
+    ------
+    InputError
+        For text that does not read so; the message shows where.
+    """
+    name, bracket, rest = text.strip().partition("(")
+    name, rest = name.strip(), rest.rstrip()
+    if not bracket:
+        return Call(name, {}, {})
+    if not rest.endswith(")"):
+        raise InputError(f"{text!r} does not end with the bracket that it opens")
+    options, words = {}, {}
+    for part in split(rest[:-1]):
+        key, equals, word = (piece.strip() for piece in part.partition("="))
+        if not (equals and key.isidentifier()):
+            raise InputError(f"{part!r} in {text!r} is no option: write option=value")
+        if key in options:
+            raise InputError(f"option {key} is given twice in {text!r}")
+        options[key], words[key] = _value(word, text), " ".join(word.split())
+    return Call(name, options, words)
+
+
+def split(text: str) -> list[str]:
+    """What commas separate, but for those inside brackets and quotes; empty parts are left out.
+
+    Raises
+    ------
+    InputError
+        For a bracket or a quote that is not closed.
+    """
+    parts, depth, quote = [""], 0, ""
+    for letter in text:
+        if quote or letter in "'\"":
+            quote = "" if letter == quote else quote or letter
+        elif letter in "([{":
+            depth += 1
+        elif letter in ")]}":
+            depth -= 1
+        if letter == "," and not (depth or quote):
+            parts.append("")
+        else:
+            parts[-1] += letter
+        if depth < 0:
+            break
+    if depth or quote:
+        raise InputError(f"brackets or quotes do not match in {text!r}")
+    return [part.strip() for part in parts if part.strip()]
+
+
+_WORD = re.compile(r"[^\W\d][\w.:-]*(\(.*\))?")
+
+
+def _value(word: str, text: str) -> Any:
+    """A Python literal, or a word that stands for itself."""
+    try:
+        return literal_eval(word)
+    except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
+        if not _WORD.fullmatch(word):
+            raise InputError(f"cannot read {word!r} in {text!r}; put text in quotes") from None
+        return word
+
+
 def estimator_name(estimator: str | Any) -> str:
-    """How an estimator is called in tables: its name, `name` attribute or class."""
+    """How an estimator is called in tables: its name and options, `name` attribute or class."""
     if isinstance(estimator, str):
-        return estimator.rpartition(":")[2]
+        call = parse(estimator)
+        return str(call._replace(name=call.name.rpartition(":")[2]))
     kind = estimator if isinstance(estimator, type) else type(estimator)
     return str(getattr(estimator, "name", kind.__name__))
 
@@ -53,19 +151,26 @@ def resolve(estimator: str | Any, **options: Any) -> Estimator:
     Parameters
     ----------
     estimator : str or object
+        Text may hold options, see `parse`.
     **options
         Passed to the class that the name stands for.
 
     Raises
     ------
     UnknownNameError
-        For a name that nothing carries; lists close ones.
+        For a name that nothing carries, or an option that the class does not have; lists close
+        ones.
     InputError
-        For a module or attribute that cannot be imported, or something that is no estimator.
+        For a module or attribute that cannot be imported, something that is no estimator, or text
+        that cannot be read.
     """
     if isinstance(estimator, str):
-        estimator = _load(estimator)
+        call = parse(estimator)
+        for twice in sorted(options.keys() & call.options.keys()):
+            raise InputError(f"option {twice} is given twice: in {estimator!r} and beside it")
+        estimator, options = _load(call.name), call.options | options
     if isinstance(estimator, type) or (callable(estimator) and not hasattr(estimator, "estimate")):
+        _check_options(estimator, options)
         try:
             estimator = estimator(**options)
         except TypeError as error:
@@ -75,6 +180,23 @@ def resolve(estimator: str | Any, **options: Any) -> Estimator:
     if not isinstance(estimator, Estimator):
         raise InputError(f"{estimator!r} is no estimator: it has no estimate(dataset)")
     return estimator
+
+
+def _check_options(maker: Callable[..., Any], options: dict[str, Any]) -> None:
+    """Refuse options that a class or function does not take; names close ones."""
+    try:
+        parameters = inspect.signature(maker).parameters.values()
+    except (TypeError, ValueError):  # compiled code may not tell
+        return
+    if any(each.kind is each.VAR_KEYWORD for each in parameters):
+        return
+    by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    known = [each.name for each in parameters if each.kind in by_name]
+    for name in options:
+        if not known:
+            raise InputError(f"{estimator_name(maker)} takes no options, got {name}")
+        if name not in known:
+            raise UnknownNameError(f"option of {estimator_name(maker)}", name, known)
 
 
 def _load(name: str) -> Any:

@@ -153,7 +153,7 @@ def test_what_is_no_estimator(thing):
 
 
 def test_options_must_fit():
-    with pytest.raises(InputError, match="unexpected keyword argument 'speed'"):
+    with pytest.raises(UnknownNameError, match="unknown option of still 'speed'; known: gate"):
         resolve(Still, speed=3)
     with pytest.raises(InputError, match="options gate are for a name or a class"):
         resolve(Still(), gate=0.5)
