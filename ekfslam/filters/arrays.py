@@ -67,7 +67,7 @@ class Register(NamedTuple):
         whole = [np.zeros(capacity, dtype=np.int64) for _ in range(5)]
         whole[0] -= 1
         used = np.zeros(1, dtype=np.int64)
-        return cls(*whole, np.zeros(capacity), np.zeros((capacity, 2)), used)
+        return cls._make([*whole, np.zeros(capacity), np.zeros((capacity, 2)), used])
 
     def grown(self, capacity: int) -> Register:
         """The same landmarks with more room."""
@@ -76,7 +76,7 @@ class Register(NamedTuple):
             return self
         more = Register.of(missing)
         columns = [np.concatenate(pair) for pair in zip(self[:-1], more[:-1], strict=True)]
-        return Register(*columns, self.used)
+        return Register._make([*columns, self.used])
 
 
 class Tentative(NamedTuple):
@@ -88,15 +88,15 @@ class Tentative(NamedTuple):
         Where each was seen last [m].
     covariance : (T, 2, 2) ndarray
         Of that.
-    count : (T,) ndarray of int
-        Sightings, 0 for a free place.
+    sightings : (T,) ndarray of int
+        How many, 0 for a free place.
     born, seen : (T,) ndarray of int
         Step of the first, and of the last.
     """
 
     position: Array
     covariance: Array
-    count: np.ndarray
+    sightings: np.ndarray
     born: np.ndarray
     seen: np.ndarray
 
@@ -114,7 +114,7 @@ class Waiting(NamedTuple):
 
     Attributes
     ----------
-    row, index, clone : (W,) ndarray of int
+    row, landmark, clone : (W,) ndarray of int
         Observation, register index of its landmark, and clone; row -1 is a free place.
     kind : (W,) ndarray of int
     mount : (W, 3) ndarray
@@ -127,7 +127,7 @@ class Waiting(NamedTuple):
     """
 
     row: np.ndarray
-    index: np.ndarray
+    landmark: np.ndarray
     clone: np.ndarray
     kind: np.ndarray
     mount: Array
@@ -142,7 +142,7 @@ class Waiting(NamedTuple):
         """Nothing waits."""
         whole = [np.full(rows, -1, dtype=np.int64) for _ in range(4)]
         past = [np.full(clones, -1, dtype=np.int64) for _ in range(3)]
-        return cls(*whole, np.zeros((rows, 3)), np.zeros(rows), np.zeros(rows), *past)
+        return cls._make([*whole, np.zeros((rows, 3)), np.zeros(rows), np.zeros(rows), *past])
 
 
 class Bank(NamedTuple):
@@ -250,11 +250,6 @@ class Journal(NamedTuple):
     def of(cls, events: int) -> Journal:
         """An empty journal."""
         whole = [np.full(events, -1, dtype=np.int64) for _ in range(8)]
-        return cls(
-            *whole,
-            np.zeros((events, 7)),
-            np.zeros((events, 4, 7)),
-            np.zeros((events, 4)),
-            np.zeros((events, 4, 4)),
-            np.zeros(1, dtype=np.int64),
-        )
+        shapes = ((events, 7), (events, 4, 7), (events, 4), (events, 4, 4))
+        models = [np.zeros(shape) for shape in shapes]
+        return cls._make([*whole, *models, np.zeros(1, dtype=np.int64)])

@@ -182,11 +182,11 @@ class Engine:
 
         That is `DONE`, or `INDEFINITE` where an innovation covariance was not positive definite.
         """
-        why = DONE
+        (deltas, Qs), why = moves, DONE
         while start < stop:
             slam, register = self.slam.arrays, self.register
             arguments = sightings, slam, register, self.settings, log
-            start, why = run(start, stop, *moves, offsets, *arguments)
+            start, why = run(start, stop, deltas, Qs, offsets, *arguments)
             if why == GROW:
                 self.make_room(int(offsets[start + 1] - offsets[start]))
             elif why == LOOK:
@@ -308,7 +308,7 @@ class Engine:
         """Landmarks that are seen but not yet points: directions, hypotheses, waiting ranges."""
         used = int(self.register.used[0])
         sizes = self.register.sizes[:used]
-        waits = np.unique(self._waiting.index[self._waiting.row >= 0])
+        waits = np.unique(self._waiting.landmark[self._waiting.row >= 0])
         return int(np.isin(sizes, [INVERSE_DEPTH, BANKED]).sum()) + len(waits)
 
 

@@ -416,10 +416,10 @@ def confirmed(state, sightings, i, settings):  # type: ignore[no-untyped-def]
                     noise[a, b] += G[a, j] * entry(P, pose + j, pose + k) * G[b, k]
     apart = np.empty(2)
     best, nearest, free = -1, settings.accept[2], -1
-    for t in range(things.count.size):
-        if things.count[t] > 0 and now - things.born[t] >= settings.within:
-            things.count[t] = 0  # not seen often enough in time
-        if things.count[t] == 0:
+    for t in range(things.sightings.size):
+        if things.sightings[t] > 0 and now - things.born[t] >= settings.within:
+            things.sightings[t] = 0  # not seen often enough in time
+        if things.sightings[t] == 0:
             free = t if free < 0 else free
             continue
         apart[0], apart[1] = where[0] - things.position[t, 0], where[1] - things.position[t, 1]
@@ -428,13 +428,13 @@ def confirmed(state, sightings, i, settings):  # type: ignore[no-untyped-def]
             best, nearest = t, squared
     if best < 0:
         if free >= 0:
-            things.count[free], things.born[free], things.seen[free] = 1, now, now
+            things.sightings[free], things.born[free], things.seen[free] = 1, now, now
             things.position[free], things.covariance[free] = where, noise
         return False
-    things.count[best] += 1
+    things.sightings[best] += 1
     things.seen[best] = now
     things.position[best], things.covariance[best] = where, noise
-    if things.count[best] < settings.confirm:
+    if things.sightings[best] < settings.confirm:
         return False
-    things.count[best] = 0
+    things.sightings[best] = 0
     return True

@@ -7,6 +7,7 @@ filter's own: a clone of the pose that a range was taken from keeps its correlat
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,12 +17,35 @@ from ekfslam.filters.journal import record
 from ekfslam.filters.kernels import append, correct, project, times_transposed
 from ekfslam.filters.measure import POINT, POSE, expect, foresee, innovate, moved
 from ekfslam.filters.upkeep import drop
+from ekfslam.geometry import Array
 from ekfslam.models.landmarks import fix
 
 NEW, REJECTED, KEPT = int(Decision.NEW), int(Decision.REJECTED), int(Decision.DELAYED)
 OBSERVED, CREATED = Linearizations.OBSERVED, Linearizations.CREATED
 MOST = 40  # ranges that wait for one landmark; the oldest goes
 APART = 0.05  # share of its range by which the sensor must have moved for the next one to wait
+
+
+class Seen(NamedTuple):
+    """What waits for one landmark, oldest first, and its linear models.
+
+    Attributes
+    ----------
+    kind, clone : (m,) ndarray of int
+    frames : (m, 3) ndarray
+        Poses of the sensors in the world.
+    values : (m, 2), variances : (m,) ndarray
+    H : (m, 2, 7), nu : (m, 2) ndarray
+        Jacobians and innovations, one row of each.
+    """
+
+    kind: np.ndarray
+    clone: np.ndarray
+    frames: Array
+    values: Array
+    variances: Array
+    H: Array
+    nu: Array
 
 
 @compiled
@@ -33,11 +57,11 @@ def wait(state, sightings, i, settings, log, journal):  # type: ignore[no-untype
     if not moved_on(state, index, robot, mount, sightings.values[i, 0]):
         return
     place = free_place(state, index)
-    clone = clone_of(state, robot)
-    if place < 0 or clone < 0:
+    clone = clone_of(state, robot) if place >= 0 else -1
+    if clone < 0:
         return
     log.decision[i] = KEPT
-    waiting.row[place], waiting.index[place], waiting.clone[place] = i, index, clone
+    waiting.row[place], waiting.landmark[place], waiting.clone[place] = i, index, clone
     waiting.kind[place], waiting.mount[place] = sightings.kind[i], mount
     waiting.value[place] = sightings.values[i, 0]
     waiting.variance[place] = sightings.covariance[i, 0, 0]
@@ -57,12 +81,12 @@ def sensor_frame(state, pose, mount, frame):  # type: ignore[no-untyped-def]
 
 @compiled
 def moved_on(state, index, robot, mount, distance):  # type: ignore[no-untyped-def]
-    """Whether the sensor has moved since the last range of this landmark that waits."""
+    """Whether the sensor is elsewhere than it was for the ranges of this landmark that wait."""
     waiting = state.waiting
     here, there = np.empty(3), np.empty(3)
     sensor_frame(state, POSE * robot, mount, here)
     for w in range(waiting.row.size):
-        if waiting.row[w] >= 0 and waiting.index[w] == index:
+        if waiting.row[w] >= 0 and waiting.landmark[w] == index:
             sensor_frame(state, waiting.clones[waiting.clone[w]], waiting.mount[w], there)
             if math.hypot(here[0] - there[0], here[1] - there[1]) < APART * distance:
                 return False
@@ -77,7 +101,7 @@ def free_place(state, index):  # type: ignore[no-untyped-def]
     for w in range(waiting.row.size):
         if waiting.row[w] < 0:
             free = w
-        elif waiting.index[w] == index:
+        elif waiting.landmark[w] == index:
             count += 1
             step = waiting.step[waiting.clone[w]]
             if oldest < 0 or step < waiting.step[waiting.clone[oldest]]:
@@ -132,7 +156,7 @@ def waiting_for(state, index):  # type: ignore[no-untyped-def]
     places = np.empty(waiting.row.size, np.int64)
     count = 0
     for w in range(waiting.row.size):
-        if waiting.row[w] >= 0 and waiting.index[w] == index:
+        if waiting.row[w] >= 0 and waiting.landmark[w] == index:
             places[count] = w
             count += 1
     places = places[:count]
@@ -146,111 +170,134 @@ def waiting_for(state, index):  # type: ignore[no-untyped-def]
 def settle_waiting(state, index, settings, journal):  # type: ignore[no-untyped-def]
     """If what waits for a landmark determines it, put it into the map and use all of it.
 
-    Two sightings from two past poses make the point exactly (the limit of an infinite prior,
-    without its loss of digits); the others then correct it.
+    All is linearised at the fix. Two sightings make the point, exactly: the limit of an infinite
+    prior without its loss of digits. The others then correct it.
     """
-    waiting, slam, register = state.waiting, state.slam, state.register
+    waiting, register = state.waiting, state.register
     places = waiting_for(state, index)
-    m = places.size
-    kinds, values = np.empty(m, np.int64), np.zeros((m, 2))
-    frames, variances = np.empty((m, 3)), np.empty(m)
-    for k in range(m):
-        w = places[k]
-        kinds[k], values[k, 0], variances[k] = (
-            waiting.kind[w],
-            waiting.value[w],
-            waiting.variance[w],
-        )
-        sensor_frame(state, waiting.clones[waiting.clone[w]], waiting.mount[w], frames[k])
-    determined, x, y, _, _, _ = fix(kinds, frames, values, variances)
+    seen = Seen(
+        waiting.kind[places],
+        waiting.clone[places],
+        np.empty((places.size, 3)),
+        np.zeros((places.size, 2)),
+        waiting.variance[places],
+        np.zeros((places.size, 2, 7)),
+        np.zeros((places.size, 2)),
+    )
+    for k in range(places.size):
+        seen.values[k, 0] = waiting.value[places[k]]
+        mount = waiting.mount[places[k]]
+        sensor_frame(state, waiting.clones[seen.clone[k]], mount, seen.frames[k])
+    determined, x, y, _, _, _ = fix(seen.kind, seen.frames, seen.values, seen.variances)
     if not determined:
         return False
-    point = np.array([x, y, 0.0, 0.0])
-    H, z, expected = np.zeros((m, 2, 7)), np.zeros((m, 2)), np.zeros(2)
-    for k in range(m):
-        w = places[k]
-        at = waiting.clones[waiting.clone[w]]
-        pose = slam.mean[at : at + POSE]
-        expect(kinds[k], POINT, waiting.mount[w], pose, point[:2], expected, H[k])
-        innovate(kinds[k], values[k], expected, z[k])
-    first, second, best = 0, 1, -1.0
-    for k in range(m):
-        for other in range(k):
-            area = abs(H[k, 0, 3] * H[other, 0, 4] - H[k, 0, 4] * H[other, 0, 3])
-            if area / math.sqrt(variances[k] * variances[other]) > best:
-                best = area / math.sqrt(variances[k] * variances[other])
-                first, second = other, k
-    pair = np.array([first, second])
-    determinant = H[first, 0, 3] * H[second, 0, 4] - H[first, 0, 4] * H[second, 0, 3]
-    inverse = np.array(
-        [
-            [H[second, 0, 4] / determinant, -H[first, 0, 4] / determinant],
-            [-H[second, 0, 3] / determinant, H[first, 0, 3] / determinant],
-        ]
-    )
-    G, noise, poses = np.zeros((2, 4, POSE)), np.zeros((4, 4)), np.empty(2, np.int64)
-    target = point.copy()
-    for k in range(2):
-        row = pair[k]
-        poses[k] = waiting.clones[waiting.clone[places[row]]]
-        for a in range(POINT):
-            target[a] += inverse[a, k] * z[row, 0]
-            for c in range(POSE):
-                G[k, a, c] = -inverse[a, k] * H[row, 0, c]
-            for b in range(POINT):
-                noise[a, b] += inverse[a, k] * variances[row] * inverse[b, k]
-    n = slam.size[0]
-    # The landmark has no prior: the journal creates it without an equation of its own.
-    robot, step = waiting.robot[waiting.clone[places[0]]], waiting.step[waiting.clone[places[0]]]
-    here, row = slam.mean[:POSE], waiting.row[places[m - 1]]
-    record(journal, CREATED, row, robot, step, index, -1, POINT, 0, here, point, H[0], z[0], noise)
-    for k in range(m):
-        w = places[k]
-        clone = waiting.clone[w]
-        at, R = waiting.clones[clone], np.array([[variances[k], 0.0], [0.0, 0.0]])
-        past = slam.mean[at : at + POSE]
-        robot, step, row = waiting.robot[clone], waiting.step[clone], waiting.row[w]
-        record(journal, OBSERVED, row, robot, step, index, -1, POINT, 1, past, point, H[k], z[k], R)
-    append(slam.mean, slam.covariance, n, poses, target, POINT, G, noise)
-    slam.size[0] = n + POINT
-    register.offsets[index], register.sizes[index], register.sightings[index] = n, POINT, m
-    register.spread[index] = math.sqrt(slam.covariance[n, n] + slam.covariance[n + 1, n + 1])
-    linear_correction(state, places, pair, point, H, z, variances, n, settings)
-    for k in range(m):
-        waiting.row[places[k]] = -1
+    point = np.array([x, y])
+    linearise(state, places, seen, point)
+    note_waiting(state, index, places, seen, point, journal)
+    pair = best_pair(seen)
+    at = point_of_two(state, pair, seen, point)
+    register.offsets[index], register.sizes[index] = at, POINT
+    register.sightings[index] = places.size
+    P = state.slam.covariance
+    register.spread[index] = math.sqrt(P[at, at] + P[at + 1, at + 1])
+    correct_by_the_others(state, pair, seen, point, at, settings)
+    waiting.row[places] = -1
     free_clones(state)
     return True
 
 
 @compiled
-def linear_correction(state, places, skip, point, H, z, variances, at, settings):  # type: ignore[no-untyped-def]
-    """Correct jointly with all sightings that wait for a landmark but those that made it.
+def linearise(state, places, seen, point):  # type: ignore[no-untyped-def]
+    """Jacobians and innovations of what waits for a landmark, at a point."""
+    waiting, mean, expected = state.waiting, state.slam.mean, np.zeros(2)
+    for k in range(places.size):
+        at, mount = waiting.clones[seen.clone[k]], waiting.mount[places[k]]
+        expect(seen.kind[k], POINT, mount, mean[at : at + POSE], point, expected, seen.H[k])
+        innovate(seen.kind[k], seen.values[k], expected, seen.nu[k])
 
-    All are linearised at one point: the innovation is moved from there to the present mean.
+
+@compiled
+def note_waiting(state, index, places, seen, point, journal):  # type: ignore[no-untyped-def]
+    """Record a landmark without a prior, so created without an equation, and what determines it."""
+    waiting, mean, R = state.waiting, state.slam.mean, np.zeros((2, 2))
+    for k in range(-1, places.size):
+        clone, row = seen.clone[max(k, 0)], waiting.row[places[k]]
+        past = mean[waiting.clones[clone] :][:POSE]
+        robot, step = waiting.robot[clone], waiting.step[clone]
+        event, d = (CREATED, 0) if k < 0 else (OBSERVED, 1)
+        R[0, 0], H, nu = seen.variances[k], seen.H[k], seen.nu[k]
+        record(journal, event, row, robot, step, index, -1, POINT, d, past, point, H, nu, R)
+
+
+@compiled
+def best_pair(seen):  # type: ignore[no-untyped-def]
+    """The two sightings whose lines of equal value cross best."""
+    first, second, best = 0, 1, -1.0
+    for k in range(seen.kind.size):
+        for other in range(k):
+            area = abs(crossing(seen, k, other))
+            area /= math.sqrt(seen.variances[k] * seen.variances[other])
+            if area > best:
+                first, second, best = other, k, area
+    return np.array([first, second])
+
+
+@compiled
+def crossing(seen, k, other):  # type: ignore[no-untyped-def]
+    """Determinant of the derivatives of two values with respect to the point."""
+    one, two = seen.H[k, 0], seen.H[other, 0]
+    return one[3] * two[4] - one[4] * two[3]
+
+
+@compiled
+def point_of_two(state, pair, seen, point):  # type: ignore[no-untyped-def]
+    """Append the point that two sightings make, with its correlations; returns where it stands.
+
+    From ``nu_k = H_pose,k dx_k + H_point,k dl + v_k``, solved for dl.
     """
     waiting, slam = state.waiting, state.slam
-    n, m = slam.size[0], places.size - skip.size
+    determinant = crossing(seen, pair[0], pair[1])
+    G, noise, poses = np.zeros((2, POINT, POSE)), np.zeros((POINT, POINT)), np.empty(2, np.int64)
+    target = point.copy()
+    for k in range(2):
+        row, other = pair[k], seen.H[pair[1 - k], 0]
+        sign = 1.0 if k == 0 else -1.0
+        column = np.array([sign * other[4], -sign * other[3]]) / determinant  # of the inverse
+        poses[k] = waiting.clones[seen.clone[row]]
+        for a in range(POINT):
+            target[a] += column[a] * seen.nu[row, 0]
+            for c in range(POSE):
+                G[k, a, c] = -column[a] * seen.H[row, 0, c]
+            for b in range(POINT):
+                noise[a, b] += column[a] * seen.variances[row] * column[b]
+    n = slam.size[0]
+    append(slam.mean, slam.covariance, n, poses, target, POINT, G, noise)
+    slam.size[0] = n + POINT
+    return n
+
+
+@compiled
+def correct_by_the_others(state, pair, seen, point, at, settings):  # type: ignore[no-untyped-def]
+    """Correct jointly with what waited for a landmark but did not make it."""
+    waiting, slam = state.waiting, state.slam
+    n, m = slam.size[0], seen.kind.size - 2
     if m == 0:
         return
     rows, S, nu = np.empty((m, n)), np.empty((m, m)), np.empty(m)
     used = np.empty(m, np.int64)
-    count = 0
-    for k in range(places.size):
-        if k != skip[0] and k != skip[1]:
-            used[count] = k
-            count += 1
-    for p in range(m):
-        k = used[p]
-        pose = waiting.clones[waiting.clone[places[k]]]
-        project(slam.covariance, n, pose, at, POINT, H[k], 1, rows[p : p + 1])
-        nu[p] = z[k, 0]
-        for a in range(POINT):
-            nu[p] -= H[k, 0, 3 + a] * (slam.mean[at + a] - point[a])
+    p = 0
+    for k in range(seen.kind.size):
+        if k in (pair[0], pair[1]):
+            continue
+        used[p] = k
+        pose = waiting.clones[seen.clone[k]]
+        project(slam.covariance, n, pose, at, POINT, seen.H[k], 1, rows[p : p + 1])
+        nu[p] = moved(seen.nu[k], seen.H[k], slam.mean[at : at + POINT], point, POINT, 0)
         for q in range(p + 1):
-            other = used[q]
-            past = waiting.clones[waiting.clone[places[other]]]
-            S[p, q] = times_transposed(rows[p], past, at, POINT, H[other], 0)
-        S[p, p] += variances[k]
+            past = waiting.clones[seen.clone[used[q]]]
+            S[p, q] = times_transposed(rows[p], past, at, POINT, seen.H[used[q]], 0)
+        S[p, p] += seen.variances[k]
+        p += 1
     correct(slam.mean, slam.covariance, n, rows, S, nu, m, settings.robots)
 
 
