@@ -25,6 +25,7 @@ from baselines.isam2 import GtsamIsam2
 from baselines.landmark_graph import LandmarkGraph
 from ekfslam import geometry as geo
 from ekfslam.estimates import OK, Decision, LandmarkEstimates
+from ekfslam.models.landmarks import fix
 from ekfslam.simulation import simulate
 
 SENSORS = {
@@ -227,3 +228,27 @@ def test_the_batch_takes_the_associations_that_a_filter_kept_for_later():
     assert estimate.association == "of its own"
     assert_solves(estimate, dataset)
     np.testing.assert_allclose(stacked(estimate), stacked(own), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_landmarks_enter_when_the_poses_as_isam2_knows_them_now_say_so(seed):
+    """Two landmarks correct the poses; the others have bearings alone."""
+    dataset = problem(scanner(), compass(0.4, -0.2, 1.0), seed=seed)
+    seen = dataset.observations
+    dataset = rows_kept(dataset, (seen.sensor == 0) == np.isin(seen.landmark, [3, 5]))
+    seen, sightings = dataset.observations, dataset.sightings
+    decision = GtsamIsam2(marginals=False).estimate(dataset).innovations.decision
+    entered = {
+        int(seen.landmark[row]): int(seen.step[row])
+        for row in np.flatnonzero(decision == Decision.NEW)
+    }
+    for k in range(1, max(entered.values()) + 1):
+        before = GtsamIsam2(marginals=False).estimate(first_steps(dataset, k)).smoothed.poses
+        poses = np.vstack([before, geo.compose(before[-1], dataset.moves.deltas[0, k])])
+        for landmark in (8, 13, 21):
+            some = np.flatnonzero((seen.landmark == landmark) & (seen.step <= k))
+            frames = geo.compose(poses[seen.step[some]], sightings.mount[some])
+            noise = sightings.covariance[some, 0, 0]
+            determined = fix(sightings.kind[some], frames, seen.values[some], noise)[0]
+            if k <= entered[landmark]:
+                assert determined == (k == entered[landmark])
