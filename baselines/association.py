@@ -60,7 +60,7 @@ class Association:
             final = np.concatenate([final, landmarks.undetermined])
         kept = met & np.isin(innovations.landmark, final)
         gone = len(np.unique(innovations.landmark[met & ~kept]))
-        note = f"{gone} landmarks not in the final map of {estimate.estimator}: left out"
+        note = f"landmarks not in the final map of {estimate.estimator}: {gone} left out"
         return cls(
             np.where(kept, innovations.landmark, -1),
             accepted & ~named,

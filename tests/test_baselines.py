@@ -262,7 +262,7 @@ def test_association_of_an_estimate_is_what_it_used():
     assert association.robots.tolist() == 9 * [False] + [True, False]
     assert association.rows.tolist() == [0, 1, 5, 8, 9]
     assert association.name == "nearest"
-    assert association.notes == ("1 landmarks not in the final map of ekf: left out",)
+    assert association.notes == ("landmarks not in the final map of ekf: 1 left out",)
     with pytest.raises(UnsupportedError, match="made no associations"):
         Association.of(DeadReckoning().estimate(drawn("cloister")))
 
