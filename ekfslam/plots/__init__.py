@@ -2,10 +2,11 @@
 
 from ekfslam.plots.maps import plot_map
 from ekfslam.plots.series import plot_consistency, plot_errors, plot_times
-from ekfslam.plots.style import look, save, style
+from ekfslam.plots.style import look, looks, save, style
 
 __all__ = [
     "look",
+    "looks",
     "plot_consistency",
     "plot_errors",
     "plot_map",

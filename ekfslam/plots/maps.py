@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ekfslam import geometry as geo
 from ekfslam.geometry import Array
 from ekfslam.plots.rows import Series, check_one_run, final_series, numbers, series_of, typical
-from ekfslam.plots.style import PAGE, TRUTH, drawing, look
+from ekfslam.plots.style import PAGE, TRUTH, drawing, legend_columns
 
 SIGMAS = 3.0
 _ROOM = 1.25  # an estimate is in full view if it makes the map larger by no more than this
@@ -64,16 +64,18 @@ def plot_map(
     true_map = _true_map(landmarks) if known is None else np.asarray(known, float).reshape(-1, 2)
     truth = np.concatenate([*true_paths, true_map])
     low, high = _frame(truth, contents)
-    with drawing(PAGE, _height(high - low)) as figure:
+    columns = legend_columns([content.series.label for content in contents], most=3)
+    rows = -(-(len(contents) + 4) // columns)  # the truth, its landmarks, start and end
+    with drawing(PAGE, _height(high - low, rows)) as figure:
         axes = figure.add_subplot(aspect="equal", xlabel="x [m]", ylabel="y [m]")
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         for content in contents:
             _draw(axes, content, (low, high))
         _draw_truth(axes, true_paths, true_map)
-        ends = [(path, look(c.series.estimator).color) for c in contents for path in c.paths]
+        ends = [(path, c.series.look.color) for c in contents for path in c.paths]
         _draw_ends(axes, ends + [(path, TRUTH) for path in true_paths])
         figure.suptitle(f"{title}: map with 3σ ellipses" if contents else "no estimate to show")
-        figure.legend(loc="outside lower center", ncols=3)
+        figure.legend(loc="outside lower center", ncols=columns)
     return figure
 
 
@@ -146,9 +148,9 @@ def _diagonal(points: Array) -> float:
     return float(np.hypot(*np.ptp(points, axis=0)))
 
 
-def _height(extent: Array) -> float:
+def _height(extent: Array, rows: int) -> float:
     """Height of a figure of full width whose axes have this extent, legend included [in]."""
-    beside, below = 0.5, 1.2
+    beside, below = 0.5, 0.75 + 0.15 * max(rows, 3)
     return float(np.clip((PAGE - beside) * extent[1] / extent[0], 2.0, PAGE)) + below
 
 
@@ -156,7 +158,7 @@ def _height(extent: Array) -> float:
 
 
 def _draw(axes: Axes, content: _Content, frame: tuple[Array, Array]) -> None:
-    color, marker, linestyle = look(content.series.estimator)
+    color, marker, linestyle = content.series.look
     everywhere = np.concatenate(content.paths)
     leaves = ((everywhere < frame[0]) | (everywhere > frame[1])).any()
     label = content.series.label + (", leaves the frame" if leaves else "")

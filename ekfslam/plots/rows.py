@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ import pandas as pd
 
 from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.geometry import Array
+from ekfslam.plots.style import Look, looks
 
 # A diverged run can hold numbers whose squares overflow; no figure has room for them.
 _LARGEST = 1e100
@@ -21,6 +23,12 @@ class Series(NamedTuple):
     estimator: str
     name: str
     rows: pd.DataFrame
+    look: Look
+
+    @property
+    def heading(self) -> str:
+        """How a narrow panel calls it."""
+        return f"{textwrap.fill(self.estimator, 22, break_long_words=False)}\n{self.name}"
 
     @property
     def label(self) -> str:
@@ -85,8 +93,9 @@ def of_robot(trajectories: pd.DataFrame, robot: str | None) -> tuple[pd.DataFram
 
 def series_of(table: pd.DataFrame) -> Iterator[Series]:
     """The series of a table in order of appearance."""
+    by_name = looks(map(str, table["estimator"].unique()))
     for (estimator, name), rows in table.groupby(["estimator", "series"], sort=False):
-        yield Series(str(estimator), str(name), rows)
+        yield Series(str(estimator), str(name), rows, by_name[str(estimator)])
 
 
 def final_series(table: pd.DataFrame) -> list[Series]:

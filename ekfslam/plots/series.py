@@ -22,7 +22,7 @@ from ekfslam.plots.rows import (
     series_of,
     typical,
 )
-from ekfslam.plots.style import COLUMN, PAGE, QUIET, TRUTH, drawing, look
+from ekfslam.plots.style import COLUMN, PAGE, QUIET, TRUTH, drawing, legend_columns
 
 SIGMAS = 3.0
 PROBABILITY = 0.95
@@ -139,7 +139,7 @@ def plot_times(trajectories: pd.DataFrame) -> Figure:
     with drawing(PAGE, COLUMN) as figure:
         axes = figure.add_subplot(xlabel="step", ylabel="time per step [µs]", yscale="log")
         for name, times in curves:
-            color, marker, _ = look(name)
+            color, marker, _ = timed[name].look
             axes.plot(
                 numbers(timed[name].rows, "step"),
                 times,
@@ -186,7 +186,7 @@ def _errors(curves: list[_Curve], title: str) -> Figure:
     with drawing(max(PAGE, 1.4 * len(curves)), 4.5) as figure:
         axes = figure.subplots(3, len(curves), sharex=True, sharey="row", squeeze=False)
         for column, curve, reach in zip(axes.T, curves, reaches, strict=True):
-            column[0].set_title(f"{curve.series.estimator}\n{curve.series.name}")
+            column[0].set_title(curve.series.heading)
             for row, panel in enumerate(column):
                 _draw_error(panel, curve, row, limits[row])
                 if reach[row] > limits[row]:
@@ -205,7 +205,7 @@ def _limit(reaches: Array) -> float:
 
 
 def _draw_error(panel: Axes, curve: _Curve, row: int, limit: float) -> None:
-    color = look(curve.series.estimator).color
+    color = curve.series.look.color
     # Cut a little outside of the frame: a vector file would carry numbers of any size along.
     error = np.clip(curve.error[:, row], -9 * limit, 9 * limit)
     band = np.clip(SIGMAS * curve.sigma[:, row], 0.0, 9 * limit)
@@ -284,7 +284,7 @@ def _draw_nees(panel: Axes, name: str, shown: Iterable[Series]) -> None:
 def _draw_nis(panel: Axes, series: Series) -> None:
     time, nis, dof = _nis_per_dof(series)
     low, high = chi2_interval(dof, PROBABILITY)
-    color, marker, _ = look(series.estimator)
+    color, marker, _ = series.look
     panel.plot(
         time, nis, color=color, marker=marker, linestyle="none", markersize=2, markeredgewidth=0
     )
@@ -314,7 +314,7 @@ def _scale(panel: Axes, values: Array, low: float, high: float) -> None:
 
 def _draw_lines(panel: Axes, curves: Iterable[tuple[Series, Array]]) -> None:
     for series, values in curves:
-        color, _, linestyle = look(series.estimator)
+        color, _, linestyle = series.look
         time = numbers(series.rows, "time_s")
         panel.plot(
             time, values, color=color, linestyle=linestyle, label=series.estimator, linewidth=0.8
@@ -339,7 +339,7 @@ def _finish(figure: Figure, title: str, axes: Iterable[Axes]) -> None:
         [handles[label] for label in labels],
         labels,
         loc="outside lower center",
-        ncols=4,
+        ncols=legend_columns(labels, most=4),
         markerscale=2,
     )
 

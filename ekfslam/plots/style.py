@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
 from itertools import product
@@ -79,8 +80,8 @@ METHODS: Mapping[str, Look] = {
     "euclidean-first": Look(_SKY, "X", ":"),
     "mahalanobis-first": Look("#999999", "x", ":"),
 }
-"""The EKF by method of association, as in ``ekf-joint``; a method that is a form of another one
-shares its colour."""
+"""The EKF by method of association, as in ``ekf-joint`` or ``ekf(association=joint, confirm=3)``;
+a method that is a form of another one shares its colour."""
 
 _OTHERS = tuple(
     Look(color, marker, linestyle)
@@ -90,19 +91,46 @@ _OTHERS = tuple(
 )
 
 
+_METHOD = re.compile(r"ekf-([\w-]+)|ekf\((?:.*, *)?association=([\w-]+).*\)")
+
+
 def look(estimator: str) -> Look:
-    """Colour, marker and line of an estimator.
+    """Colour, marker and line of an estimator by itself.
 
     Parameters
     ----------
     estimator : str
-        Name. One that is not in `LOOKS`, nor "ekf-" with a method of `METHODS`, gets a look of its
-        own that depends on the name alone.
+        Name. One that is neither in `LOOKS` nor the EKF with a method of `METHODS` gets a look of
+        its own that depends on the name alone.
     """
-    known = LOOKS.get(estimator)
-    if known is None and estimator.startswith("ekf-"):
-        known = METHODS.get(estimator.removeprefix("ekf-"))
+    method = _METHOD.fullmatch(estimator)
+    known = METHODS.get(method[1] or method[2]) if method else LOOKS.get(estimator)
     return known or _OTHERS[zlib.crc32(estimator.encode()) % len(_OTHERS)]
+
+
+def looks(estimators: Iterable[str]) -> dict[str, Look]:
+    """Looks of estimators that share a figure: no two of one colour, while there are enough.
+
+    Parameters
+    ----------
+    estimators : iterable of str
+        Names, also several times. Those of `LOOKS` always have their own look; where others share
+        a colour, the first one keeps it.
+    """
+    found: dict[str, Look] = {}
+    for name in sorted(dict.fromkeys(estimators), key=lambda name: name not in LOOKS):
+        choices = [look(name), *_OTHERS]
+        taken = {own.color for own in found.values()}
+        free = [c for c in choices if c.color not in taken]
+        found[name] = (free or [c for c in choices if c not in found.values()] or choices)[0]
+    return found
+
+
+def legend_columns(labels: Iterable[str], most: int) -> int:
+    """How many labels fit beside each other below a figure of full width."""
+    letter, handle = 0.06, 0.55  # of the legend's font, and of what stands before a label [in]
+    longest = max(map(len, labels), default=0)
+    return max(1, min(most, int(PAGE / (letter * longest + handle))))
 
 
 @contextmanager
@@ -128,7 +156,8 @@ def drawing(width: float, height: float) -> Iterator[Picture]:
     with style():
         figure = Picture(figsize=(width, height), layout="constrained")
         yield figure
-        figure.draw_without_rendering()
+        for _ in range(2):  # the axes keep clear of the legend once it has its place
+            figure.draw_without_rendering()
         figure.set_layout_engine("none")
 
 
