@@ -176,8 +176,8 @@ class Options:
     naive_distance: tuple[float, float] = (5.0, 2.5)
     linearity: float = 0.02
     ranges: str = "delayed"
-    hypotheses: int = 16
-    prune: float = 0.01
+    hypotheses: int = 32
+    prune: float = 0.001
     forget: int = 0
     corrupt: int = 0
 
