@@ -30,11 +30,14 @@ _HOMES = {
     "Observations": "ekfslam.dataset",
     "Prior": "ekfslam.dataset",
     "Robot": "ekfslam.dataset",
+    "RobotPlan": "ekfslam.simulation",
     "Scenario": "ekfslam.simulation",
     "Sensor": "ekfslam.models.sensors",
+    "SensorPlan": "ekfslam.simulation",
     "Sightings": "ekfslam.dataset",
     "UnknownNameError": "ekfslam.errors",
     "UnsupportedError": "ekfslam.errors",
+    "association_study": "ekfslam.experiments",
     "check": "ekfslam.validation",
     "compare": "ekfslam.experiments",
     "load_scenario": "ekfslam.simulation",
@@ -60,6 +63,7 @@ def load(source: str | Path, path: str | Path | None = None, **options: Any) -> 
     Parameters
     ----------
     source : str or path
+        As for `compare`; the text may hold options, too: ``victoria-park(noise=file)``.
     path : path, optional
         Where the files of a recorded set lie, if they do not come with a package.
     **options
@@ -91,7 +95,8 @@ def estimate(dataset: Dataset, estimator: str | Any = "ekf", **options: Any) -> 
     ----------
     dataset : Dataset
     estimator : str or object
-        A registered name, ``module:Class``, or an object with ``estimate(dataset)``.
+        A registered name, ``module:Class``, either with options as in
+        ``ekf(association=joint, confirm=3)``, or an object with ``estimate(dataset)``.
     **options
         For the class that the name stands for, such as ``update="sequential"``.
 

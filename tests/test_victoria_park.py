@@ -48,7 +48,7 @@ def test_noise_can_be_chosen():
     np.testing.assert_allclose(dataset.sensors[0].covariance, np.diag([0.09, 0.0016]))
     with pytest.raises(InputError, match="noise must be 'default' or 'file', got 'mine'"):
         victoria_park.load(noise="mine")
-    with pytest.raises(InputError, match="covariance"):
+    with pytest.raises(InputError, match="odometry_sigmas must have shape"):
         victoria_park.load(odometry_sigmas=(0.1, 0.1))
 
 

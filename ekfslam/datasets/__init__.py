@@ -40,7 +40,7 @@ RECORDED: Mapping[str, Recorded] = {
 }
 
 
-def load_recorded(name: str, path: str | Path | None = None, **options: Any) -> Dataset:
+def load_recorded(name: str, path: str | Path | None = None, /, **options: Any) -> Dataset:
     """Load a recorded set.
 
     Parameters

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ekfslam.checks import is_covariance
+from ekfslam.checks import checked_array, is_covariance
 from ekfslam.dataset import Dataset, Observations, Prior, Robot
 from ekfslam.datasets.wheel import in_wheel
 from ekfslam.errors import FileFormatError, InputError
@@ -67,7 +67,7 @@ def load(
     FileFormatError
         For a missing or malformed file, with the line.
     InputError
-        For another `noise`.
+        For another `noise`, or standard deviations that are none.
     """
     if noise not in ("default", "file"):
         raise InputError(f"noise must be 'default' or 'file', got {noise!r}")
@@ -83,8 +83,10 @@ def load(
         # Every sighting has its own; the sensor's is for show.
         sensor = Sensor("xy", covariance[0] if len(covariance) else np.zeros((2, 2)), name="laser")
     else:
-        odometry_covariance = np.diag(np.square(odometry_sigmas))
-        sensor = Sensor("range-bearing", np.diag(np.square(sensor_sigmas)), name="laser")
+        odometry_covariance = _variances(odometry_sigmas, 3, "odometry_sigmas")
+        sensor = Sensor(
+            "range-bearing", _variances(sensor_sigmas, 2, "sensor_sigmas"), name="laser"
+        )
         values = np.column_stack(
             [np.hypot(values[:, 0], values[:, 1]), np.arctan2(values[:, 1], values[:, 0])]
         )
@@ -104,6 +106,14 @@ def load(
         provenance=f"{path.name} of the gtsam package; J. Guivant and E. Nebot, IEEE Trans. "
         "Robotics and Automation 17(3), 2001",
     )
+
+
+def _variances(sigmas: Sequence[float], count: int, name: str) -> Array:
+    """Covariance from standard deviations."""
+    array = checked_array(sigmas, float, (count,), name)
+    if not (np.isfinite(array) & (array >= 0)).all():
+        raise InputError(f"{name} must be standard deviations, got {sigmas!r}")
+    return np.diag(array**2)
 
 
 class _Records(NamedTuple):

@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
-import platform
 import re
-import shutil
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +19,7 @@ from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import judged, tables
 from ekfslam.evaluation.landmarks import MATCH_RADIUS
+from ekfslam.experiments.files import versions, write_together
 from ekfslam.experiments.sources import open_dataset
 from ekfslam.registry import Estimator, estimator_name, resolve
 
@@ -34,8 +29,8 @@ if TYPE_CHECKING:
 DATASETS = ("park", "victoria-park")
 ESTIMATORS = ("ekf", "gtsam-batch", "gtsam-isam2", "dead-reckoning")
 REFERENCE = "gtsam-batch"
-PACKAGES = ("ekfslam", "gtsam", "numpy", "scipy", "pandas", "numba", "matplotlib")
-FIGURES = ("map", "errors", "consistency", "times")
+FIGURES = ("map", "times")
+FIGURES_OF_A_ROBOT = ("errors", "consistency")
 
 Watch = Callable[[str, str, int, int], None]
 """Called with (dataset, estimator, steps done, steps in all) on long work."""
@@ -79,17 +74,31 @@ class Comparison:
         name = self._name(dataset)
         return plot_map(self._of(self.trajectories, name), self._of(self.landmarks, name))
 
-    def plot_errors(self, dataset: str | None = None) -> Figure:
-        """Error against time with the estimator's own 3-sigma band."""
+    def plot_errors(self, dataset: str | None = None, robot: str | None = None) -> Figure:
+        """Error against time with the estimator's own 3-sigma band.
+
+        Parameters
+        ----------
+        dataset : str, optional
+            Name; the first one by default.
+        robot : str, optional
+            Name, where there are several; the first one by default.
+        """
         from ekfslam.plots import plot_errors
 
-        return plot_errors(self._of(self.trajectories, self._name(dataset)))
+        return plot_errors(self._of(self.trajectories, self._name(dataset)), robot)
 
-    def plot_consistency(self, dataset: str | None = None) -> Figure:
-        """NEES and NIS against their chi-square intervals."""
+    def plot_consistency(self, dataset: str | None = None, robot: str | None = None) -> Figure:
+        """NEES and NIS against their chi-square intervals.
+
+        Parameters
+        ----------
+        dataset, robot : str, optional
+            As for `plot_errors`.
+        """
         from ekfslam.plots import plot_consistency
 
-        return plot_consistency(self._of(self.trajectories, self._name(dataset)))
+        return plot_consistency(self._of(self.trajectories, self._name(dataset)), robot)
 
     def plot_times(self, dataset: str | None = None) -> Figure:
         """Time per step."""
@@ -101,7 +110,7 @@ class Comparison:
         """Write tables (CSV), configuration (JSON) and figures (PNG and PDF).
 
         The folder is made if needed. Files appear when all of them have been written; if anything
-        goes wrong, none does.
+        goes wrong, none does. Of several robots each has figures of its errors and consistency.
 
         Parameters
         ----------
@@ -118,39 +127,25 @@ class Comparison:
         InputError
             If the folder cannot be written to.
         """
-        folder = Path(folder)
-        missing = [place for place in (folder, *folder.parents) if not place.exists()]
-        scratch = None
-        done = False
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            scratch = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
-            self._write(scratch, figures)
-            written = sorted(scratch.iterdir())
-            for path in written:
-                os.replace(path, folder / path.name)
-            done = True
-        except OSError as error:
-            raise InputError(f"cannot write to {folder}: {error.strerror or error}") from None
-        finally:
-            if scratch is not None:
-                shutil.rmtree(scratch, ignore_errors=True)
-            for place in () if done else missing:
-                with suppress(OSError):
-                    place.rmdir()
-        return [folder / path.name for path in written]
+        return write_together(folder, lambda place: self._write(place, figures))
 
     def _write(self, folder: Path, figures: bool) -> None:
         for name in tables.SCHEMAS:
             getattr(self, name).to_csv(folder / f"{name}.csv", index=False)
         (folder / "config.json").write_text(json.dumps(self.config, indent=2) + "\n")
-        if figures:
-            from ekfslam.plots import save
+        for name, dataset in self.datasets.items() if figures else ():
+            self._draw(folder, name, [robot.name for robot in dataset.robots])
 
-            for dataset in self.datasets:
-                stem = re.sub(r"[^\w.-]+", "-", dataset).lstrip(".-") or "dataset"
-                for figure in FIGURES:
-                    save(getattr(self, f"plot_{figure}")(dataset), folder, f"{stem}-{figure}")
+    def _draw(self, folder: Path, dataset: str, robots: list[str]) -> None:
+        from ekfslam.plots import save
+
+        for figure in FIGURES:
+            save(getattr(self, f"plot_{figure}")(dataset), folder, _stem(dataset, figure))
+        for robot in robots:
+            whose = [robot] if len(robots) > 1 else []
+            for figure in FIGURES_OF_A_ROBOT:
+                drawn = getattr(self, f"plot_{figure}")(dataset, robot)
+                save(drawn, folder, _stem(dataset, *whose, figure))
 
     def _name(self, dataset: str | None) -> str:
         if dataset is None:
@@ -167,23 +162,6 @@ class Comparison:
         return self.summary.to_html(index=False, na_rep="")
 
 
-def check_folder(folder: str | Path) -> None:
-    """Refuse a folder that cannot be written to, before hours of work depend on it.
-
-    Raises
-    ------
-    InputError
-        If it is a file, or neither it nor the nearest folder above can be written to.
-    """
-    place = Path(folder).absolute()
-    while not place.exists():
-        place = place.parent
-    if not place.is_dir():
-        raise InputError(f"cannot write to {folder}: there is no folder {place}")
-    if not os.access(place, os.W_OK):
-        raise InputError(f"cannot write to {folder}: permission denied")
-
-
 def compare(
     datasets: str | Dataset | Sequence[str | Dataset] = DATASETS,
     estimators: str | Any | Sequence[str | Any] = ESTIMATORS,
@@ -193,6 +171,7 @@ def compare(
     path: str | Path | None = None,
     watch: Watch | None = None,
     match_radius: float = MATCH_RADIUS,
+    withhold_ids: bool = False,
 ) -> Comparison:
     """Run estimators on datasets and tabulate them side by side.
 
@@ -203,7 +182,8 @@ def compare(
     datasets : str, Dataset or a sequence of them
         Scenarios, recorded sets, files; see `ekfslam.experiments.sources.open_dataset`.
     estimators : str, object or a sequence of them
-        Registered names, ``module:Class``, or objects with ``estimate(dataset)``.
+        Registered names, ``module:Class``, either with options as in
+        ``ekf(association=joint, confirm=3)``, or objects with ``estimate(dataset)``.
     seed : int
         Of the simulated datasets.
     alignment : {"none", "se2"}
@@ -217,6 +197,8 @@ def compare(
     match_radius : float
         Where association is not known: distance [m] up to which a landmark is held against a true
         one.
+    withhold_ids : bool
+        Whether to withhold from the estimators who was seen; the scores of association keep it.
 
     Returns
     -------
@@ -232,8 +214,10 @@ def compare(
     for name, length in (("rpe_distance", rpe_distance), ("match_radius", match_radius)):
         if not 0 < checked_number(length, name) < np.inf:
             raise InputError(f"{name} must be a positive length [m], got {length}")
-    subjects = _named(_listed(estimators))
+    subjects = named(_listed(estimators))
     sources = [open_dataset(source, seed, path) for source in _listed(datasets)]
+    if withhold_ids:
+        sources = [source.without_identities() for source in sources]
     opened = {dataset.name: dataset for dataset in sources}
     if len(opened) != len(sources):
         raise InputError("two datasets have the same name; the tables could not tell them apart")
@@ -243,7 +227,7 @@ def compare(
         # Increments and columns belong to the data: no estimator's clock counts them.
         _ = dataset.moves, dataset.sightings, dataset.offsets
         found = {
-            name: _run(name, subject, dataset, alignment, watch)
+            name: attempt(name, subject, dataset, _tabulate, alignment, watch)
             for name, subject in subjects.items()
         }
         reference = found.get(REFERENCE)
@@ -259,8 +243,9 @@ def compare(
         "alignment": alignment,
         "rpe_distance_m": rpe_distance,
         "match_radius_m": match_radius,
+        "ids_withheld": withhold_ids,
         "path": None if path is None else str(path),
-        "versions": _versions(),
+        "versions": versions(),
     }
     stacked = {name: tables.concat(name, rows) for name, rows in parts.items()}
     return Comparison(**stacked, datasets=opened, estimates=estimates, config=config)
@@ -274,8 +259,14 @@ def _listed(value: Any) -> list[Any]:
     return items
 
 
-def _named(estimators: list[Any]) -> dict[str, Estimator]:
-    """Estimators under distinct names."""
+def named(estimators: Iterable[Any]) -> dict[str, Estimator]:
+    """Estimators under distinct names.
+
+    Raises
+    ------
+    UnknownNameError, InputError
+        As `ekfslam.registry.resolve`, and for two of the same name.
+    """
     subjects: dict[str, Estimator] = {}
     for estimator in estimators:
         name = estimator_name(estimator)
@@ -285,10 +276,28 @@ def _named(estimators: list[Any]) -> dict[str, Estimator]:
     return subjects
 
 
-def _run(
-    name: str, subject: Estimator, dataset: Dataset, alignment: str, watch: Watch | None
+def attempt(
+    name: str,
+    subject: Estimator,
+    dataset: Dataset,
+    tabulate: Callable[[Dataset, Estimate], Any],
+    alignment: str = "none",
+    watch: Watch | None = None,
 ) -> Estimate:
-    """The estimate, or a record that says why there is none."""
+    """The estimate with its status, or a record that says why there is none.
+
+    Parameters
+    ----------
+    name : str
+        What the estimate is called.
+    subject : Estimator
+    dataset : Dataset
+    tabulate : callable
+        Given dataset and estimate; what it raises makes the estimate a failed one.
+    alignment : {"none", "se2"}
+        Applied before an estimate is judged.
+    watch : callable, optional
+    """
     progress = None
     if watch is not None:
         watch(dataset.name, name, 0, dataset.poses)
@@ -300,9 +309,9 @@ def _run(
         estimate = _call(subject, dataset, progress)
         if not isinstance(estimate, Estimate):
             raise TypeError(f"estimate(dataset) returned {type(estimate).__name__}, not Estimate")
-        named = replace(estimate, estimator=name, dataset=dataset.name)
-        estimate = judged(dataset, named, alignment)
-        _tabulate(dataset, estimate)  # what cannot be tabulated is no estimate
+        titled = replace(estimate, estimator=name, dataset=dataset.name)
+        estimate = judged(dataset, titled, alignment)
+        tabulate(dataset, estimate)  # what cannot be tabulated is no estimate
         return estimate
     except UnsupportedError as reason:
         return Estimate(name, dataset.name, status=SKIPPED, message=str(reason))
@@ -360,11 +369,6 @@ def _plain(value: Any) -> bool:
     return value is None or isinstance(value, str | int | float | bool)
 
 
-def _versions() -> dict[str, str]:
-    versions = {"python": platform.python_version(), "machine": platform.machine()}
-    for package in PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            versions[package] = "not installed"
-    return versions
+def _stem(*words: str) -> str:
+    """Name of a file; names may come from a file that somebody else wrote."""
+    return "-".join(re.sub(r"[^\w.-]+", "-", word).strip(".-") or "dataset" for word in words)

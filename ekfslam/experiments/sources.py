@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from ekfslam.dataset import Dataset
 from ekfslam.datasets import RECORDED, load_recorded
 from ekfslam.errors import InputError, UnknownNameError
+from ekfslam.registry import parse
 from ekfslam.simulation import scenarios, simulate
 
 
@@ -19,7 +21,8 @@ def open_dataset(
     ----------
     source : str, path or Dataset
         A scenario or its TOML file (simulated with `seed`), a recorded set, or a file written by
-        `Dataset.save` (``.npz``).
+        `Dataset.save` (``.npz``). Options of its loader may follow the name of a recorded set, as
+        in ``victoria-park(noise=file)``, and become part of the dataset's name.
     seed : int
         Of a simulation.
     path : path, optional
@@ -35,8 +38,10 @@ def open_dataset(
     if isinstance(source, Dataset):
         return source
     name = str(source)
-    if name in RECORDED:
-        return load_recorded(name, path)
+    if name.partition("(")[0].strip() in RECORDED:
+        call = parse(name)
+        dataset = load_recorded(call.name, path, **call.options)
+        return replace(dataset, name=str(call)) if call.options else dataset
     if path is not None:
         raise InputError(f"a path is for recorded datasets, not for {name}")
     if name.endswith(".npz"):

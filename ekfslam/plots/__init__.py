@@ -2,6 +2,7 @@
 
 from ekfslam.plots.maps import plot_map
 from ekfslam.plots.series import plot_consistency, plot_errors, plot_times
+from ekfslam.plots.study import plot_study
 from ekfslam.plots.style import look, looks, save, style
 
 __all__ = [
@@ -10,6 +11,7 @@ __all__ = [
     "plot_consistency",
     "plot_errors",
     "plot_map",
+    "plot_study",
     "plot_times",
     "save",
     "style",

@@ -6,16 +6,14 @@ import sys
 from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from ekfslam.cli.printing import print_list, print_report, print_study, print_summary
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    import pandas as pd
-
-    from ekfslam.validation import Report
 
 HELP = """Compare hand-written EKF-SLAM with GTSAM smoothers of the same landmark graph.
 
@@ -27,11 +25,15 @@ HELP = """Compare hand-written EKF-SLAM with GTSAM smoothers of the same landmar
 
   ekfslam compare park --estimators ekf,mymodule:MyFilter
 
+  ekfslam compare park --withhold-ids --estimators "ekf(association=joint)"
+
   ekfslam check ekf                             [dim]right to round-off?[/dim]
 
   ekfslam simulate loop-15 --seed 7 --out run.npz
 
   ekfslam compare run.npz                       [dim]a dataset from a file[/dim]
+
+  ekfslam study association                     [dim]who tells trees apart in noise[/dim]
 """
 
 app = typer.Typer(
@@ -43,7 +45,12 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-WIDE = 150  # columns that a table may take
+study = typer.Typer(
+    help="Experiments with many seeds: tables with Monte-Carlo errors, and a figure.",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+)
+app.add_typer(study, name="study")
 
 Seed = Annotated[int, typer.Option(help="Seed of simulated data.", min=0)]
 
@@ -96,7 +103,8 @@ def compare(
         typer.Argument(help="Scenarios, recorded sets, .npz or .toml files.", show_default=False),
     ] = None,
     estimators: Annotated[
-        str, typer.Option(help="Names or module:Class, separated by commas.")
+        str,
+        typer.Option(help="Names or module:Class, options in brackets, separated by commas."),
     ] = "ekf,gtsam-batch,gtsam-isam2,dead-reckoning",
     seed: Seed = 0,
     out: Annotated[
@@ -111,35 +119,107 @@ def compare(
         Path | None,
         typer.Option(help="Where the files of a recorded set lie.", show_default=False),
     ] = None,
+    match_radius: Annotated[
+        float,
+        typer.Option(help=r"How far from a true landmark one is held against it \[m]."),
+    ] = 1.0,
+    withhold_ids: Annotated[
+        bool,
+        typer.Option("--withhold-ids", help="Withhold from the estimators who was seen."),
+    ] = False,
     figures: Annotated[bool, typer.Option(help="Whether to draw figures into --out.")] = True,
 ) -> None:
     """Estimators side by side on the same datasets: tables, CSVs and figures.
 
     Without arguments: the simulated park and the recorded Victoria Park.
 
-    [bold]Example[/bold]
+    [bold]Examples[/bold]
 
       ekfslam compare cloister victoria-park --seed 1 --out results/compare
+
+      ekfslam compare orchard --estimators "ekf, ekf(association=joint, confirm=3)"
     """
-    from ekfslam.experiments.compare import DATASETS, check_folder
+    from ekfslam.experiments.compare import DATASETS
     from ekfslam.experiments.compare import compare as run
+    from ekfslam.experiments.files import check_folder
+    from ekfslam.registry import split
 
     if out is not None:
         check_folder(out)
     with _progress() as watch:
         comparison = run(
             datasets or list(DATASETS),
-            [name.strip() for name in estimators.split(",") if name.strip()],
+            split(estimators),
             seed=seed,
             alignment=align,
             rpe_distance=rpe_distance,
             path=data,
             watch=watch,
+            match_radius=match_radius,
+            withhold_ids=withhold_ids,
         )
-    _print_summary(comparison.summary)
+    print_summary(comparison.summary)
     if out is not None:
         files = comparison.save(out, figures=figures)
         print(f"{len(files)} files in {out}: {', '.join(path.name for path in files)}")
+
+
+@study.callback()
+def _studies() -> None:
+    """Experiments with many seeds: tables with Monte-Carlo errors, and a figure."""
+
+
+@study.command()
+def association(
+    scenario: Annotated[str, typer.Option(help="A name, or a .toml file.")] = "orchard",
+    methods: Annotated[
+        str | None,
+        typer.Option(help="Separated by commas; all but one by default.", show_default=False),
+    ] = None,
+    scales: Annotated[
+        str, typer.Option(help="Scales of the odometry noise, separated by commas.")
+    ] = "1,2,3,4,6",
+    seeds: Annotated[int, typer.Option(help="Number of draws at each scale.")] = 10,
+    confirm: Annotated[int, typer.Option(help="Sightings that make a landmark.")] = 3,
+    within: Annotated[int, typer.Option(help="Steps that they must fall into.")] = 8,
+    workers: Annotated[int, typer.Option(help="Processes; the outcome is the same.")] = 1,
+    out: Annotated[Path, typer.Option(help="Folder for CSVs, configuration and figure.")] = Path(
+        "results/study-association"
+    ),
+) -> None:
+    """Methods of association on the same draws of a world with clutter, at increasing noise.
+
+    [bold]Examples[/bold]
+
+      ekfslam study association
+
+      ekfslam study association --methods joint,nearest --seeds 50 --scales 3,4,5 --out results/mine
+    """
+    from ekfslam.errors import InputError
+    from ekfslam.experiments import association_study
+    from ekfslam.experiments.association import METHODS
+    from ekfslam.experiments.files import check_folder
+    from ekfslam.registry import split
+
+    check_folder(out)
+    try:
+        factors = [float(word) for word in split(scales)]
+    except ValueError:
+        raise InputError(f"--scales are numbers separated by commas, got {scales!r}") from None
+    with _progress() as watch:
+        found = association_study(
+            scenario,
+            METHODS if methods is None else split(methods),
+            factors,
+            seeds=seeds,
+            confirm=confirm,
+            within=within,
+            workers=workers,
+            watch=watch,
+        )
+    print_study(found)
+    files = found.save(out)
+    print(f"{len(files)} files in {out}: {', '.join(path.name for path in files)}")
 
 
 @app.command()
@@ -158,7 +238,7 @@ def check(
     from ekfslam.validation import check as climb
 
     report = climb(estimator, seed=seed)
-    _print_report(report)
+    print_report(report)
     raise typer.Exit(0 if report.passed else 1)
 
 
@@ -168,6 +248,9 @@ def simulate(
     out: Annotated[Path, typer.Option(help="File to write (.npz).")],
     seed: Seed = 0,
     noise: Annotated[float, typer.Option(help="Scale of all noise, stated and drawn.")] = 1.0,
+    odometry_noise: Annotated[
+        float, typer.Option(help="Scale of the odometry noise alone, stated and drawn.")
+    ] = 1.0,
     g2o: Annotated[
         Path | None,
         typer.Option(help="Write it as a g2o graph, too.", show_default=False),
@@ -188,7 +271,7 @@ def simulate(
     for path in filter(None, (out, g2o)):
         if not path.parent.is_dir():
             raise InputError(f"cannot write {path}: there is no folder {path.parent}")
-    dataset = draw(scenario, seed=seed, noise=noise)
+    dataset = draw(scenario, seed=seed, noise=noise, odometry_noise=odometry_noise)
     written = [str(out)]
     if g2o is not None:  # first: it can be refused for what the dataset holds
         write_g2o(dataset, g2o)
@@ -208,7 +291,7 @@ def datasets() -> None:
 
     rows = [(name, load_scenario(name).describe()) for name in scenarios()]
     rows += [(name, recorded.description) for name, recorded in RECORDED.items()]
-    _print_list(rows)
+    print_list(rows)
 
 
 @app.command()
@@ -223,121 +306,7 @@ def estimators() -> None:
         except Exception as error:
             doc = f"cannot be loaded: {error}"
         rows.append((name, f"{doc} ({point.value})"))
-    _print_list(rows)
-
-
-# Printing ---------------------------------------------------------------------------------------
-
-
-def _console() -> Any:
-    from shutil import get_terminal_size
-
-    from rich.console import Console
-
-    # Never cut a number off: a table that is wider than the terminal is for it to wrap.
-    width = max(WIDE, get_terminal_size().columns) if sys.stdout.isatty() else WIDE
-    return Console(width=width)
-
-
-def _print_list(rows: list[tuple[str, str]]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column()
-    for row in rows:
-        table.add_row(*map(escape, row))
-    _console().print(table)
-
-
-Format = Callable[[float], str]
-
-
-def _digits(value: float) -> str:
-    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-
-
-def _seconds(value: float) -> str:
-    return f"{value:.3f}" if value < 100 else f"{value:.0f}"
-
-
-SHOWN: tuple[tuple[str, str, Format], ...] = (
-    ("ate_position_rmse_m", "ATE\n[m]", _digits),
-    ("ate_heading_rmse_rad", "ATE\n[rad]", _digits),
-    ("rpe_position_rmse_m", "RPE\n[m]", _digits),
-    ("landmark_rmse_m", "landm.\n[m]", _digits),
-    ("nees_pose_mean", "NEES\n(3)", _digits),
-    ("nis_per_dof", "NIS\n/dof", _digits),
-    ("graph_chi2_per_dof", "chi2\n/dof", _digits),
-    ("gap_final_position_m", "pose gap\nto batch [m]", _digits),
-    ("gap_landmark_rmse_m", "map gap\n[m]", _digits),
-    ("sigma_ratio_position", "sigma\nratio", _digits),
-    ("time_total_s", "time\n[s]", _seconds),
-    ("time_per_step_median_us", "per step\n[us]", _digits),
-)
-
-
-def _print_summary(summary: pd.DataFrame) -> None:
-    """Dataset by dataset, and a column only where it says something."""
-    import pandas as pd
-    from rich.markup import escape
-    from rich.table import Table
-
-    console = _console()
-    groups: Any = summary.groupby(["dataset", "seed"], sort=False, dropna=False)
-    for (name, seed), part in groups:
-        first = part.iloc[0]
-        title = f"{name}" + ("" if pd.isna(seed) else f", seed {seed}")
-        title += f": {first['steps']} poses, {first['observations']} observations"
-        title += (
-            f", {first['landmarks_true']} landmarks" if pd.notna(first["landmarks_true"]) else ""
-        )
-        table = Table(title=escape(title), title_justify="left", title_style="bold", box=None)
-        table.add_column("estimator", no_wrap=True)
-        table.add_column("series", no_wrap=True)
-        table.add_column("status", no_wrap=True)
-        columns = [entry for entry in SHOWN if part[entry[0]].notna().any()]
-        for _, heading, _ in columns:
-            table.add_column(escape(heading), justify="right", no_wrap=True)
-        for _, row in part.iterrows():
-            cells = [_text(row[c], form) for c, _, form in columns]
-            series = row["series"] if isinstance(row["series"], str) else ""
-            table.add_row(escape(row["estimator"]), series, row["status"], *cells)
-        console.print(table)
-        for _, row in part.drop_duplicates("estimator").iterrows():
-            if isinstance(row["message"], str) and row["message"]:
-                console.print(escape(f"  {row['estimator']}: {row['message']}"), style="dim")
-        console.print()
-
-
-def _text(value: Any, form: Format) -> str:
-    return "" if value != value else form(value)
-
-
-def _print_report(report: Report) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    console = _console()
-    table = Table(title=escape(f"ladder for {report.estimator}"), title_justify="left", box=None)
-    for heading in ("", "rung", "scenario", "outcome", "measured", "bound"):
-        table.add_column(heading, no_wrap=True)
-    table.add_column("where")
-    style = {"pass": "green", "fail": "bold red", "does not apply": "dim"}
-    for rung in report.rungs:
-        measured = "" if rung.measured != rung.measured else f"{rung.measured:.2g}"
-        table.add_row(
-            str(rung.number),
-            rung.name,
-            rung.scenario,
-            f"[{style[rung.outcome]}]{rung.outcome}[/]",
-            measured,
-            f"{'>=' if rung.at_least else '<='} {rung.bound:g}",
-            escape(rung.detail),
-        )
-    console.print(table)
-    print("passed" if report.passed else "FAILED")
+    print_list(rows)
 
 
 @contextmanager
@@ -360,7 +329,3 @@ def _progress() -> Iterator[Callable[[str, str, int, int], None]]:
             bar.update(task, description=f"{dataset}: {estimator}", completed=done, total=total)
 
         yield watch
-
-
-if __name__ == "__main__":
-    main()

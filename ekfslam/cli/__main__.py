@@ -1,0 +1,6 @@
+"""``python -m ekfslam.cli`` is the command."""
+
+from ekfslam.cli import main
+
+if __name__ == "__main__":
+    main()

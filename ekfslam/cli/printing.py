@@ -1,0 +1,254 @@
+"""What the command prints: tables of which every number is readable in a terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from shutil import get_terminal_size
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rich.console import Console
+from rich.markup import escape
+from rich.measure import Measurement
+from rich.table import Table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from ekfslam.experiments import AssociationStudy
+    from ekfslam.validation import Report
+
+WIDE = 150  # columns that a table may take
+
+
+def print_list(rows: list[tuple[str, str]]) -> None:
+    """Names with what they are."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column()
+    for row in rows:
+        table.add_row(*map(escape, row))
+    _console().print(table)
+
+
+def print_summary(summary: pd.DataFrame) -> None:
+    """Dataset by dataset, and a column only where it says something."""
+    import pandas as pd
+
+    console = _console()
+    groups: Any = summary.groupby(["dataset", "seed"], sort=False, dropna=False)
+    for (name, seed), part in groups:
+        who = ["robot"] if part["robot"].nunique() > 1 else []
+        lead = ["estimator", *who, "series", "status"]
+        _print(console, _table(part, lead, MEASURED, _title(name, seed, part)))
+        for _, row in part.drop_duplicates("estimator").iterrows():
+            if isinstance(row["message"], str) and row["message"]:
+                console.print(escape(f"  {row['estimator']}: {row['message']}"), style="dim")
+        if _associated(part):
+            once = part.drop_duplicates(["estimator", *who]).dropna(subset="landmarks_estimated")
+            once = once.assign(
+                landmarks_undetermined=once["landmarks_undetermined"].replace(0, pd.NA)
+            )
+            lead = ["estimator", *who, "association"]
+            _print(console, _table(once, lead, ASSOCIATED, "who was taken for whom"))
+        console.print()
+
+
+def print_report(report: Report) -> None:
+    """The rungs of the ladder."""
+    console = _console()
+    table = Table(title=escape(f"ladder for {report.estimator}"), title_justify="left", box=None)
+    for heading in ("", "rung", "scenario", "outcome", "measured", "bound"):
+        table.add_column(heading, no_wrap=True)
+    table.add_column("where")
+    style = {"pass": "green", "fail": "bold red", "does not apply": "dim"}
+    for rung in report.rungs:
+        measured = "" if rung.measured != rung.measured else f"{rung.measured:.2g}"
+        table.add_row(
+            str(rung.number),
+            rung.name,
+            rung.scenario,
+            f"[{style[rung.outcome]}]{rung.outcome}[/]",
+            measured,
+            f"{'>=' if rung.at_least else '<='} {rung.bound:g}",
+            escape(rung.detail),
+        )
+    console.print(table)
+    print("passed" if report.passed else "FAILED")
+
+
+def print_study(study: AssociationStudy) -> None:
+    """Noise by noise, the methods below each other; then the two rivals draw by draw."""
+    console = _console()
+    config = study.config
+    title = f"{config['scenario']}: the same {config['seeds']} draws for each method, by noise"
+    shown = study.summary.assign(
+        ate=[_plus_minus(*pair) for pair in _pairs(study.summary, "ate_m_mean", "ate_m_se")]
+    )
+    table = _table(shown, ["odometry_noise", "method"], STUDIED, title, apart="odometry_noise")
+    _print(console, table)
+    odd = study.runs[study.runs["status"].isin(["failed", "skipped"])].drop_duplicates("method")
+    for _, row in odd.iterrows():
+        console.print(escape(f"  {row['method']}: {row['status']}: {row['message']}"), style="dim")
+    console.print()
+    if len(study.paired):
+        first = study.paired.iloc[0]
+        rivals = f"{first['method']} minus {first['against']} on the same draws"
+        names = "ate_m_difference_mean", "ate_m_difference_se"
+        shown = study.paired.assign(
+            ate=[_plus_minus(*pair) for pair in _pairs(study.paired, *names)]
+        )
+        _print(console, _table(shown, ["odometry_noise"], PAIRED, rivals))
+        console.print()
+
+
+# Columns ----------------------------------------------------------------------------------------
+
+
+class Column(NamedTuple):
+    """A column of a table, its heading, and how its numbers are written."""
+
+    name: str
+    heading: str
+    form: Callable[[Any], str]
+
+
+def _digits(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.3f}" if value < 100 else f"{value:.0f}"
+
+
+def _share(value: float) -> str:
+    return f"{value:.4f}"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.0f} %"
+
+
+def _plus_minus(mean: float, error: float) -> str:
+    return _digits(mean) + (f" ± {error:.2g}" if error == error else "") if mean == mean else ""
+
+
+MEASURED = (
+    Column("ate_position_rmse_m", "ATE\n[m]", _digits),
+    Column("ate_heading_rmse_rad", "ATE\n[rad]", _digits),
+    Column("rpe_position_rmse_m", "RPE\n[m]", _digits),
+    Column("landmark_rmse_m", "landm.\n[m]", _digits),
+    Column("nees_pose_mean", "NEES\n(3)", _digits),
+    Column("nis_per_dof", "NIS\n/dof", _digits),
+    Column("graph_chi2_per_dof", "chi2\n/dof", _digits),
+    Column("gap_final_position_m", "pose gap\nto batch [m]", _digits),
+    Column("gap_landmark_rmse_m", "map gap\n[m]", _digits),
+    Column("sigma_ratio_position", "sigma\nratio", _digits),
+    Column("time_total_s", "time\n[s]", _seconds),
+    Column("time_per_step_median_us", "per step\n[us]", _digits),
+)
+ASSOCIATED = (
+    Column("association_precision", "precision", _share),
+    Column("association_recall", "recall", _share),
+    Column("landmarks_estimated", "in map", str),
+    Column("landmarks_undetermined", "of open\ndistance", str),
+    Column("landmarks_missed", "missed", str),
+    Column("landmarks_spurious", "spurious", str),
+    Column("landmarks_duplicate", "duplicate", str),
+    Column("landmarks_merged", "merged", str),
+)
+STUDIED = (
+    Column("precision_mean", "precision", _share),
+    Column("recall_mean", "recall", _share),
+    Column("ate", "ATE [m]\nmean ± s.e.", str),
+    Column("ate_m_median", "ATE [m]\nmedian", _digits),
+    Column("nees_mean", "NEES (3)\nmean", _digits),
+    Column("nees_median", "NEES (3)\nmedian", _digits),
+    Column("share_diverged", "diverged", _percent),
+)
+PAIRED = (
+    Column("ate", "ATE [m]\nmean ± s.e.", str),
+    Column("share_better", "less in", _percent),
+    Column("runs", "draws", str),
+)
+HEADINGS = {"odometry_noise": "noise"}
+
+
+def _associated(part: pd.DataFrame) -> bool:
+    """Whether it says something who was taken for whom."""
+    if (part["association"].dropna() != "known").any():
+        return True
+    counts = ("undetermined", "missed", "spurious", "duplicate", "merged")
+    wrong = any((part[f"landmarks_{count}"].fillna(0) > 0).any() for count in counts)
+    return wrong or bool((part["association_precision"] < 1).any())
+
+
+def _title(name: str, seed: Any, part: pd.DataFrame) -> str:
+    first = part.iloc[0]
+    of_robots = part[part["estimator"] == first["estimator"]].drop_duplicates("robot")
+    title = name if seed != seed else f"{name}, seed {seed}"
+    title += f": {first['steps']} poses, {of_robots['observations'].sum()} observations"
+    there = first["landmarks_true"]
+    return title + (f", {there} landmarks" if _known(there) else "")
+
+
+# Tables -----------------------------------------------------------------------------------------
+
+
+def _table(
+    rows: pd.DataFrame,
+    lead: list[str],
+    columns: Iterable[Column],
+    title: str,
+    apart: str | None = None,
+) -> Table:
+    """Some columns of text or keys, and those of the numbers that are known in any row.
+
+    Rows of different values of the column `apart` are kept apart.
+    """
+    table = Table(title=escape(title), title_justify="left", title_style="bold", box=None)
+    for name in lead:
+        table.add_column(escape(HEADINGS.get(name, name)), no_wrap=True)
+    shown = [column for column in columns if rows[column.name].notna().any()]
+    for column in shown:
+        table.add_column(escape(column.heading), justify="right", no_wrap=True)
+    before = None
+    for _, row in rows.iterrows():
+        if apart is not None and before is not None and row[apart] != before:
+            table.add_row()
+        before = None if apart is None else row[apart]
+        words = [escape(_word(row[name])) for name in lead]
+        table.add_row(*words, *(_text(row[c.name], c.form) for c in shown))
+    return table
+
+
+def _pairs(rows: pd.DataFrame, *names: str) -> Iterable[tuple[float, ...]]:
+    return rows[list(names)].itertuples(index=False)
+
+
+def _known(value: Any) -> bool:
+    import pandas as pd
+
+    return not pd.isna(value)
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, float):
+        return "" if value != value else f"{value:g}"
+    return str(value) if _known(value) else ""
+
+
+def _text(value: Any, form: Callable[[Any], str]) -> str:
+    return form(value) if _known(value) else ""
+
+
+def _console() -> Console:
+    # Never cut a number off: a table that is wider than the terminal is for it to wrap.
+    width = max(WIDE, get_terminal_size().columns) if sys.stdout.isatty() else WIDE
+    return Console(width=width)
+
+
+def _print(console: Console, table: Table) -> None:
+    """Print a table as wide as it is: long names of estimators cost no number."""
+    needed = Measurement.get(console, console.options.update(width=10_000), table).maximum
+    console.print(table, width=max(needed, console.width), crop=False)

@@ -1,0 +1,88 @@
+"""Files of an experiment: all of them appear, or none does."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from ekfslam.errors import InputError
+
+PACKAGES = ("ekfslam", "gtsam", "numpy", "scipy", "pandas", "numba", "matplotlib")
+
+
+def check_folder(folder: str | Path) -> None:
+    """Refuse a folder that cannot be written to, before hours of work depend on it.
+
+    Raises
+    ------
+    InputError
+        If it is a file, or neither it nor the nearest folder above can be written to.
+    """
+    place = Path(folder).absolute()
+    while not place.exists():
+        place = place.parent
+    if not place.is_dir():
+        raise InputError(f"cannot write to {folder}: there is no folder {place}")
+    if not os.access(place, os.W_OK):
+        raise InputError(f"cannot write to {folder}: permission denied")
+
+
+def write_together(folder: str | Path, write: Callable[[Path], None]) -> list[Path]:
+    """Write files into a folder, which is made if needed.
+
+    The files appear when all of them have been written; if anything goes wrong, none does.
+
+    Parameters
+    ----------
+    folder : path
+    write : callable
+        Writes into the empty folder that it is given.
+
+    Returns
+    -------
+    list of Path
+        The files, in order.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
+    """
+    folder = Path(folder)
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    scratch = None
+    done = False
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
+        write(scratch)
+        written = sorted(scratch.iterdir())
+        for path in written:
+            os.replace(path, folder / path.name)
+        done = True
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror or error}") from None
+    finally:
+        if scratch is not None:
+            shutil.rmtree(scratch, ignore_errors=True)
+        for place in () if done else missing:
+            with suppress(OSError):
+                place.rmdir()
+    return [folder / path.name for path in written]
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that numbers may depend on."""
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
