@@ -1,7 +1,7 @@
-"""Where the texts are wrong or loose on partial observations, and what else was found in them.
+"""Where the texts are wrong or loose on partial observations, in listings, and elsewhere.
 
 `tests/test_texts.py` has the closed forms of the texts; here are the traps of Solà's 2.3.5 and
-2.3.6 and some of the other texts, each against a limit, a derivative or drawn samples.
+2.3.6 and of the algorithms, each against a limit, a derivative or drawn samples.
 """
 
 from __future__ import annotations
@@ -11,15 +11,19 @@ import pytest
 from numerics import assert_sampled, central_difference, subtract_angles, subtract_last_angle
 from numpy.testing import assert_allclose
 
+from ekfslam import EkfSlam
 from ekfslam import geometry as geo
+from ekfslam.dataset import Prior, Sightings
 from ekfslam.evaluation import pose_nees
 from ekfslam.filters.ekf import Ekf
+from ekfslam.filters.gaussian_map import GaussianMap
 from ekfslam.models.landmarks import depth_prior, inverse_depth, observe_inverse_depth
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.simulation import simulate
 from ekfslam.simulation.worlds import cloister
 
+LASER = Sensor("range-bearing", np.diag([0.01, 0.0004]), mount=[0.3, -0.1, 0.2])
 CAMERA = Sensor("bearing", [[1e-4]], min_range=0.5)
 MOUNTED = Sensor("bearing", [[1e-4]], mount=[0.4, -0.3, 1.2], min_range=0.5)
 
@@ -105,6 +109,64 @@ def test_sola_cloister_calls_the_west_east():
     assert_allclose(points[count : 2 * count], points[:count] @ turn.T, atol=1e-14)
 
 
+@pytest.mark.parametrize(("asks_for_the_mapped", "expected"), [(True, 0), (False, 36)])
+def test_sola_c_3_as_printed_maps_nothing(asks_for_the_mapped, expected):
+    """Its branch for new landmarks asks whether there are mapped ones, and picks one of those."""
+    rng, landmarks = np.random.default_rng(0), np.zeros((2, 36), dtype=int)
+    free = 4
+    for _ in range(200):
+        mapped = np.flatnonzero(landmarks[0])  # lids = find(landmarks(1, :))
+        candidates = mapped if asks_for_the_mapped else np.flatnonzero(landmarks[0] == 0)
+        if len(candidates):
+            landmarks[:, rng.choice(candidates)] = free, free + 1
+            free += 2
+    assert np.count_nonzero(landmarks[0]) == expected
+
+
+# Ciatto ----------------------------------------------------------------------------------------
+
+
+def test_ciatto_alg_1_observation_needs_the_index_of_the_landmark():
+    """Given the back-projected measurement for a landmark, it expects what was measured."""
+    pose, mapped = np.array([1.0, 2.0, 0.7]), np.array([4.0, 5.0])
+    for value in ([2.0, 0.3], [5.0, -1.2]):
+        printed = LASER.observe(pose, LASER.locate(pose, value)[0])[0]
+        assert_allclose(LASER.difference(value, printed), 0, atol=1e-14)
+        indexed = LASER.observe(pose, mapped)[0]
+        assert np.abs(LASER.difference(value, indexed)).max() > 0.1
+
+
+def test_ciatto_eq_3_17_has_its_blocks_the_other_way_round():
+    """Lambda_r (sigma_rr, sigma_rm) is wide: it stands below, and its transpose beside."""
+    prior = Prior([1.0, 2.0, 0.7], [[0.04, 0.01, 0], [0.01, 0.09, 0.01], [0, 0.01, 0.01]])
+    world = GaussianMap(prior)
+    for value in ([2.0, 0.3], [5.0, -1.2]):
+        point, wrt_pose, wrt_value = LASER.locate(world.mean[:3], value)
+        before = world.covariance
+        at = world.append(point, wrt_pose, wrt_value, LASER.covariance)
+        cross = wrt_pose @ before[:3]
+        assert cross.shape == (2, at)
+        assert_allclose(world.covariance[at:, :at], cross, atol=1e-15)
+        assert_allclose(world.covariance[:at, at:], cross.T, atol=1e-15)
+
+
+# Principles of Robot Autonomy ------------------------------------------------------------------
+
+
+def test_autonomy_alg_3_weight_is_a_density_with_s_in_the_exponent():
+    """With det(2 pi S) before and Q inside, it does not add up to one over all measurements."""
+    Q = np.array([[0.04, 0.005], [0.005, 0.01]])
+    S = Q + np.array([[0.05, -0.02], [-0.02, 0.06]])
+    axis = np.linspace(-4, 4, 801)
+    z = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
+    cell = (axis[1] - axis[0]) ** 2
+    for matrix, total in ((S, 1.0), (Q, np.sqrt(np.linalg.det(Q) / np.linalg.det(S)))):
+        squared = np.einsum("...i,ij,...j->...", z, np.linalg.inv(matrix), z)
+        weights = np.exp(-0.5 * squared) / np.sqrt(np.linalg.det(2 * np.pi * S))
+        assert_allclose(weights.sum() * cell, total, rtol=1e-9)
+    assert total < 0.5
+
+
 # Notes on the EKF of Brenner's lectures --------------------------------------------------------
 
 
@@ -134,6 +196,25 @@ def test_brenner_mod_must_round_down():
     assert truncated == pytest.approx(np.deg2rad(-285))
 
 
+def test_brenner_expected_measurements_go_stale_in_the_loop():
+    """Prior and two sightings of variance 1, both one off: 2/3 of the way, not 0.833."""
+    mean, variance, stale = 0.0, 1.0, 0.0
+    for _ in range(2):
+        gain = variance / (variance + 1.0)
+        stale += gain * (1.0 - 0.0)  # expected before the loop
+        mean += gain * (1.0 - mean)
+        variance *= 1.0 - gain
+    assert mean == pytest.approx(2 / 3)
+    assert stale == pytest.approx(5 / 6)
+    # The same in the filter: two landmarks as good as known, a robot lost by 1 m along x.
+    exact, rough = (Sensor("xy", variance * np.eye(2)) for variance in (1e-12, 1.0))
+    slam, points = EkfSlam(update="sequential"), np.array([[3.0, 1.0], [2.0, -4.0]])
+    slam.observe(Sightings.of(exact, points, [0, 1]))
+    slam.predict([0.0, 0.0, 0.0], np.diag([1.0, 0.0, 0.0]))
+    slam.observe(Sightings.of(rough, points - [1.0, 0.0], [0, 1]))
+    assert_allclose(slam.pose, [2 / 3, 0, 0], atol=1e-9)
+
+
 # "Extended Kalman Filter SLAM" -----------------------------------------------------------------
 
 
@@ -154,3 +235,12 @@ def test_ekf_slam_text_process_noise_must_be_mapped_by_the_controls(heading, rng
         [-np.sin(heading + 0.1), np.cos(heading + 0.1)]
     )  # of the chord, half the turn
     assert across @ mapped[:2, :2] @ across < 0.02 * np.trace(mapped[:2, :2])
+
+
+def test_ekf_slam_text_has_sigma_where_its_square_belongs(rng):
+    """NIS of true measurements is 2 in the mean; with sigma for sigma squared, their sum."""
+    sigmas = np.array([0.1, 0.02])
+    drawn = rng.normal(size=(20_000, 2)) * sigmas
+    for variances, mean in ((sigmas**2, 2.0), (sigmas, sigmas.sum())):
+        nis = np.sum(drawn**2 / variances, axis=1)
+        assert_allclose(nis.mean(), mean, atol=5 * nis.std() / np.sqrt(len(nis)))
