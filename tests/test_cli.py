@@ -96,16 +96,21 @@ def test_help_opens_with_worked_examples(command):
     first = next(i for i, line in enumerate(lines) if line.startswith("ekfslam compare"))
     assert first < next(i for i, line in enumerate(lines) if "Options" in line)
     examples = [line for line in lines if line.startswith("ekfslam ")]
-    assert {line.split()[1] for line in examples} >= {"compare", "check", "simulate"}
-    for name in ("compare", "check", "simulate", "datasets", "estimators"):
+    assert {line.split()[1] for line in examples} >= {"compare", "check", "simulate", "study"}
+    for name in ("compare", "check", "simulate", "datasets", "estimators", "study"):
         assert re.search(rf"│ {name} ", shown.out)
 
 
-@pytest.mark.parametrize("name", ["compare", "check", "simulate"])
+@pytest.mark.parametrize("name", ["compare", "check", "simulate", "study association"])
 def test_help_of_a_command(command, name):
-    shown = command(name, "-h")
+    shown = command(*name.split(), "-h")
     assert shown.status == 0
-    assert f"ekfslam {name} " in shown.out.split("Arguments")[0].split("Example")[1]
+    assert f"ekfslam {name}" in re.split("Arguments|Options", shown.out)[0].split("Example")[1]
+
+
+def test_help_of_the_studies(command):
+    for words in (["study"], ["study", "--help"]):
+        assert re.search(r"│ association ", command(*words).out)
 
 
 def test_units_survive_in_the_help(command):
@@ -154,7 +159,8 @@ def test_the_installed_command_and_the_module_are_the_same():
 def test_datasets(command):
     shown = command("datasets")
     assert shown.status == 0
-    for words in ("cloister", "loop-15", "park", "victoria-park", "60 landmarks", "6969 poses"):
+    names = ("cloister", "loop-15", "park", "orchard", "team", "victoria-park", "plaza1", "plaza2")
+    for words in (*names, "60 landmarks", "6969 poses", "clutter 0.3", "3 robots"):
         assert words in shown.out
 
 
@@ -230,6 +236,80 @@ def test_options_reach_the_comparison(command, small):
     assert '"rpe_distance_m": 1.5' in (small.parent / "out" / "config.json").read_text()
 
 
+def cells(shown, name):
+    """The words of the rows of an estimator, whose name may hold blanks."""
+    return [
+        line.split(name)[1].split() for line in shown.splitlines() if line.startswith(f" {name}  ")
+    ]
+
+
+def test_options_of_estimators_withheld_identities_and_who_was_taken_for_whom(command, small):
+    variant = "ekf(association=joint, confirm=2)"
+    estimators = f"ekf,{variant.replace(' ', '')}, dead-reckoning"
+    words = ["--withhold-ids", "--match-radius", 0.25, "--out", "out", "--no-figures"]
+    shown = command("compare", small, "--estimators", estimators, *words)
+    assert shown.status == 0
+    assert "who was taken for whom" in shown.out
+    first, second = shown.out.split("who was taken for whom")
+    assert cells(first, variant)[0][:2] == ["online", "ok"]
+    headings = ["association", "precision", "recall", "in", "map", "missed", "spurious"]
+    assert second.splitlines()[1].split()[1:8] == headings
+    summary = tables.read_csv("summary", small.parent / "out" / "summary.csv")
+    for name, method in (("ekf", "nearest"), (variant, "joint")):
+        row = summary[summary["estimator"] == name].iloc[0]
+        (written,) = cells(second, name)
+        counts = [row[f"landmarks_{c}"] for c in ("estimated", "missed", "spurious", "duplicate")]
+        scores = [row[f"association_{c}"] for c in ("precision", "recall")]
+        assert written[0] == row["association"] == method
+        assert [float(word) for word in written[1:3]] == pytest.approx(scores, abs=1e-4)
+        assert [int(word) for word in written[3:7]] == counts
+    assert not cells(second, "dead-reckoning")
+    config = (small.parent / "out" / "config.json").read_text()
+    assert '"match_radius_m": 0.25' in config
+    assert '"ids_withheld": true' in config
+
+
+def test_nothing_is_said_of_identities_that_are_given(command, small):
+    assert "who was taken" not in command("compare", small, "--estimators", "ekf").out
+
+
+def test_landmarks_of_open_distance_are_counted(command, small):
+    bearings = SMALL.replace('"range-bearing"', '"bearing"').replace('[0.1, "2 deg"]', '["9 deg"]')
+    (small.parent / "bearings.toml").write_text(bearings + "min_range = 0.5\n")
+    shown = command("compare", "bearings.toml", "--estimators", "ekf").out
+    assert re.search(r"of open\s+estimator .* distance", shown.split("who was taken")[1])
+
+
+def test_several_robots_have_rows_of_their_own(command):
+    shown = command("compare", "team", "--estimators", "ekf,dead-reckoning").out
+    assert re.search(r"team, seed 0: 301 poses, 4360 observations, 44 landmarks", shown)
+    for name in ("ekf", "dead-reckoning"):
+        rows = cells(shown, name)
+        assert [row[:3] for row in rows] == [[r, "online", "ok"] for r in ("ada", "bob", "cid")]
+        assert len({row[3] for row in rows}) == 3
+    withheld = command("compare", "team", "--estimators", "ekf", "--withhold-ids").out
+    rows = cells(withheld.split("who was taken")[1], "ekf")
+    assert [row[:2] for row in rows] == [[r, "nearest"] for r in ("ada", "bob", "cid")]
+
+
+def test_a_long_name_costs_no_number(command, small):
+    name = "ekf(association=maximum-likelihood, confirm=2, within=7, accept=0.99, new=0.9999)"
+    shown = command("compare", small, "--estimators", f"{name},gtsam-batch", "--withhold-ids")
+    assert "…" not in shown.out
+    assert len(cells(shown.out, name)) == 2
+    assert max(map(len, shown.out.splitlines())) > 150
+
+
+def test_options_of_a_recorded_set(command, folder):
+    (folder / "graph.txt").write_text(
+        "ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\nLANDMARK 1 5 2 1 0.4 0 0.4\n"
+    )
+    words = ["--data", "graph.txt", "--estimators", "dead-reckoning"]
+    shown = command("compare", "victoria-park(noise=file)", "victoria-park", *words)
+    assert "victoria-park(noise=file): 2 poses" in shown.out
+    assert "victoria-park: 2 poses" in shown.out
+
+
 def test_failures_are_rows_with_their_reason(command, small):
     (small.parent / "broken.py").write_text(
         "class Broken:\n    def estimate(self, dataset):\n"
@@ -290,6 +370,49 @@ def test_simulate_scales_the_noise(command, small):
     data = ekfslam.load("clean.npz")
     estimate = ekfslam.estimate(data, "dead-reckoning")
     np.testing.assert_allclose(estimate.online.poses, data.truth, atol=1e-12)
+
+
+def test_simulate_scales_the_odometry_noise_alone(command, small):
+    command("simulate", small, "--odometry-noise", 3, "--out", "rough.npz")
+    rough, drawn = ekfslam.load("rough.npz"), ekfslam.simulate(str(small), odometry_noise=3.0)
+    np.testing.assert_array_equal(rough.robot.controls, drawn.robot.controls)
+    plain = ekfslam.simulate(str(small))
+    assert rough.robot.motion.covariance == pytest.approx(9 * plain.robot.motion.covariance)
+    assert rough.sensors[0].covariance == pytest.approx(plain.sensors[0].covariance)
+
+
+# study ------------------------------------------------------------------------------------------
+
+
+def test_the_study_of_association(command, folder):
+    words = ["--methods", "joint, nearest", "--scales", "1,4.5", "--seeds", 2, "--confirm", 2]
+    shown = command("study", "association", *words, "--within", 6, "--out", "deep/study")
+    assert shown.status == 0
+    assert shown.err == ""
+    rows = [line.split() for line in shown.out.splitlines()]
+    assert [row[:2] for row in rows if row[1:2] in (["joint"], ["nearest"])] == [
+        ["1", "joint"],
+        ["1", "nearest"],
+        ["4.5", "joint"],
+        ["4.5", "nearest"],
+    ]
+    summary = pd.read_csv(folder / "deep" / "study" / "summary.csv")
+    joint = next(row for row in rows if row[:2] == ["4.5", "joint"])
+    expected = summary[(summary["odometry_noise"] == 4.5) & (summary["method"] == "joint")].iloc[0]
+    assert [float(joint[k]) for k in (2, 3, 4, 6, 7)] == pytest.approx(
+        expected[["precision_mean", "recall_mean", "ate_m_mean", "ate_m_se", "ate_m_median"]],
+        rel=0.05,
+    )
+    assert "joint minus nearest on the same draws" in shown.out
+    assert "6 files in deep/study: association.pdf, association.png, config.json" in shown.out
+    assert sorted(path.suffix for path in (folder / "deep" / "study").iterdir()) == [
+        *([".csv"] * 3),
+        *(".json", ".pdf", ".png"),
+    ]
+    runs = pd.read_csv(folder / "deep" / "study" / "runs.csv")
+    assert set(runs["estimator"]) == {
+        f"ekf(association={m}, confirm=2, within=6)" for m in ("joint", "nearest")
+    }
 
 
 # check ------------------------------------------------------------------------------------------
@@ -354,6 +477,27 @@ MISTAKES = {
     "a damaged recorded file": ("compare victoria-park --data graph.txt", "graph.txt, line 2"),
     "an output that is a file": ("compare small.toml --out notes.txt", "notes.txt"),
     "an output below a file": ("compare small.toml --out notes.txt/out", "notes.txt"),
+    "options that are none": ("compare cloister --estimators ekf(3)", "write option=value"),
+    "an option without an end": ("compare cloister --estimators ekf(a=3", "do not match"),
+    "an unknown option": ("compare cloister --estimators ekf(confrim=3)", "mean confirm"),
+    "a method that is none": ("compare cloister --estimators ekf(association=x)", "must be one of"),
+    "no radius": ("compare cloister --match-radius 0", "match_radius"),
+    "an option of a set": ("compare victoria-park(noize=file)", "noize"),
+    "a value of a set": ("compare victoria-park(odometry_sigmas=1)", "odometry_sigmas"),
+    "a study that nobody knows": ("study assocation", "assocation"),
+    "a method of no study": ("study association --methods jiont", "association must be one of"),
+    "methods twice": ("study association --methods joint,joint", "given twice"),
+    "scales that are none": ("study association --scales 1,x", "scales"),
+    "a negative scale": ("study association --scales -1", "scales"),
+    "no seeds": ("study association --seeds 0", "seeds"),
+    "no workers": ("study association --workers 0", "workers"),
+    "a study of a team": ("study association --scenario team", "several robots"),
+    "a study of no world": ("study association --scenario orchart", "did you mean orchard"),
+    "a study into a file": ("study association --out notes.txt", "notes.txt"),
+    "negative odometry noise": (
+        "simulate small.toml --odometry-noise -1 --out run.npz",
+        "odometry_noise",
+    ),
     "a negative seed": ("compare cloister --seed -1", "--seed"),
     "a seed that is no number": ("compare cloister --seed one", "--seed"),
     "an option that nobody knows": ("compare cloister --sed 1", "--sed"),

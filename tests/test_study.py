@@ -231,11 +231,11 @@ def test_the_study_twice_is_the_same_to_the_byte(tmp_path):
     for one, other in zip(first, second, strict=True):
         assert one.read_bytes() == other.read_bytes()
     for name in ("runs", "summary", "paired"):
-        read = pd.read_csv(tmp_path / "0" / f"{name}.csv", float_precision="round_trip")
+        read = pd.read_csv(tmp_path / "0" / f"{name}.csv", dtype="string")
         expected = getattr(studies[0], name)
         assert list(read) == list(expected)
         numeric = expected.select_dtypes("float64")
-        assert_array_equal(read[list(numeric)], numeric)
+        assert_array_equal(read[list(numeric)].astype("float64"), numeric)
     config = json.loads((tmp_path / "0" / "config.json").read_text())
     assert config == studies[0].config
     assert config["methods"] == ["joint", "nearest"]

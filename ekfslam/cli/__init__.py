@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from ekfslam.cli.printing import print_list, print_report, print_study, print_summary
+from ekfslam.cli.printing import (
+    print_list,
+    print_partial_study,
+    print_report,
+    print_study,
+    print_summary,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -218,6 +224,31 @@ def association(
             watch=watch,
         )
     print_study(found)
+    files = found.save(out)
+    print(f"{len(files)} files in {out}: {', '.join(path.name for path in files)}")
+
+
+@study.command()
+def partial(
+    seeds: Annotated[int, typer.Option(help="Number of draws of each scenario.")] = 50,
+    workers: Annotated[int, typer.Option(help="Processes; the outcome is the same.")] = 1,
+    out: Annotated[Path, typer.Option(help="Folder for CSVs and configuration.")] = Path(
+        "results/study-partial"
+    ),
+) -> None:
+    """Ways to start a landmark from bearings and from ranges, in a cloister and on two plazas.
+
+    [bold]Example[/bold]
+
+      ekfslam study partial --seeds 50
+    """
+    from ekfslam.experiments import partial_study
+    from ekfslam.experiments.files import check_folder
+
+    check_folder(out)
+    with _progress() as watch:
+        found = partial_study(seeds, workers=workers, watch=watch)
+    print_partial_study(found)
     files = found.save(out)
     print(f"{len(files)} files in {out}: {', '.join(path.name for path in files)}")
 

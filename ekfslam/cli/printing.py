@@ -15,7 +15,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ekfslam.experiments import AssociationStudy
+    from ekfslam.experiments import AssociationStudy, PartialStudy
     from ekfslam.validation import Report
 
 WIDE = 150  # columns that a table may take
@@ -40,7 +40,7 @@ def print_summary(summary: pd.DataFrame) -> None:
     for (name, seed), part in groups:
         who = ["robot"] if part["robot"].nunique() > 1 else []
         lead = ["estimator", *who, "series", "status"]
-        _print(console, _table(part, lead, MEASURED, _title(name, seed, part)))
+        _print(_table(part, lead, MEASURED, _title(name, seed, part)))
         for _, row in part.drop_duplicates("estimator").iterrows():
             if isinstance(row["message"], str) and row["message"]:
                 console.print(escape(f"  {row['estimator']}: {row['message']}"), style="dim")
@@ -50,7 +50,7 @@ def print_summary(summary: pd.DataFrame) -> None:
                 landmarks_undetermined=once["landmarks_undetermined"].replace(0, pd.NA)
             )
             lead = ["estimator", *who, "association"]
-            _print(console, _table(once, lead, ASSOCIATED, "who was taken for whom"))
+            _print(_table(once, lead, ASSOCIATED, "who was taken for whom"))
         console.print()
 
 
@@ -86,7 +86,7 @@ def print_study(study: AssociationStudy) -> None:
         ate=[_plus_minus(*pair) for pair in _pairs(study.summary, "ate_m_mean", "ate_m_se")]
     )
     table = _table(shown, ["odometry_noise", "method"], STUDIED, title, apart="odometry_noise")
-    _print(console, table)
+    _print(table)
     odd = study.runs[study.runs["status"].isin(["failed", "skipped"])].drop_duplicates("method")
     for _, row in odd.iterrows():
         console.print(escape(f"  {row['method']}: {row['status']}: {row['message']}"), style="dim")
@@ -98,7 +98,26 @@ def print_study(study: AssociationStudy) -> None:
         shown = study.paired.assign(
             ate=[_plus_minus(*pair) for pair in _pairs(study.paired, *names)]
         )
-        _print(console, _table(shown, ["odometry_noise"], PAIRED, rivals))
+        _print(_table(shown, ["odometry_noise"], PAIRED, rivals))
+        console.print()
+
+
+def print_partial_study(study: PartialStudy) -> None:
+    """Scenario by scenario, then the recorded sets, ways to start landmarks below each other."""
+    console = _console()
+    title = f"partial observations: the same {study.config['seeds']} draws for each estimator"
+    shown = study.summary.assign(
+        ate=[_plus_minus(*pair) for pair in _pairs(study.summary, "ate_m_mean", "ate_m_se")],
+        nees=[
+            _plus_minus(*pair) for pair in _pairs(study.summary, "nees_final_mean", "nees_final_se")
+        ],
+    )
+    _print(_table(shown, ["dataset", "estimator"], STARTED, title, apart="dataset"))
+    console.print()
+    if len(study.recorded):
+        lead = ["dataset", "estimator", "series", "status"]
+        title = "recorded ranges: beacons after the path is aligned with the truth"
+        _print(_table(study.recorded, lead, BEACONS, title, apart="dataset"))
         console.print()
 
 
@@ -174,6 +193,24 @@ PAIRED = (
 HEADINGS = {"odometry_noise": "noise"}
 
 
+STARTED = (
+    Column("share_diverged", "diverged", _percent),
+    Column("nees", "final NEES (3)\nmean ± s.e.", str),
+    Column("nees_final_median", "median", _digits),
+    Column("ate", "ATE [m]\nmean ± s.e.", str),
+    Column("landmark_m_mean", "landm.\n[m]", _digits),
+    Column("landmarks_mean", "landm.\nfound", _digits),
+)
+
+BEACONS = (
+    Column("ate_position_rmse_m", "ATE\n[m]", _digits),
+    Column("aligned_landmark_rmse_m", "beacons\nrms [m]", _digits),
+    Column("aligned_landmark_max_m", "largest\n[m]", _digits),
+    Column("nees_pose_mean", "NEES\n(3)", _digits),
+    Column("nis_per_dof", "NIS\n/dof", _digits),
+)
+
+
 def _associated(part: pd.DataFrame) -> bool:
     """Whether it says something who was taken for whom."""
     if (part["association"].dropna() != "known").any():
@@ -186,7 +223,7 @@ def _associated(part: pd.DataFrame) -> bool:
 def _title(name: str, seed: Any, part: pd.DataFrame) -> str:
     first = part.iloc[0]
     of_robots = part[part["estimator"] == first["estimator"]].drop_duplicates("robot")
-    title = name if seed != seed else f"{name}, seed {seed}"
+    title = f"{name}, seed {seed}" if _known(seed) else name
     title += f": {first['steps']} poses, {of_robots['observations'].sum()} observations"
     there = first["landmarks_true"]
     return title + (f", {there} landmarks" if _known(there) else "")
@@ -242,13 +279,14 @@ def _text(value: Any, form: Callable[[Any], str]) -> str:
     return form(value) if _known(value) else ""
 
 
-def _console() -> Console:
+def _console(needed: int = 0) -> Console:
     # Never cut a number off: a table that is wider than the terminal is for it to wrap.
     width = max(WIDE, get_terminal_size().columns) if sys.stdout.isatty() else WIDE
-    return Console(width=width)
+    return Console(width=max(width, needed))
 
 
-def _print(console: Console, table: Table) -> None:
+def _print(table: Table) -> None:
     """Print a table as wide as it is: long names of estimators cost no number."""
-    needed = Measurement.get(console, console.options.update(width=10_000), table).maximum
-    console.print(table, width=max(needed, console.width), crop=False)
+    console = _console()
+    endless = console.options.update(width=10_000)
+    _console(Measurement.get(console, endless, table).maximum).print(table)
