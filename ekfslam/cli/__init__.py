@@ -230,7 +230,7 @@ def association(
 
 @study.command()
 def partial(
-    seeds: Annotated[int, typer.Option(help="Number of draws of each scenario.")] = 50,
+    seeds: Annotated[int, typer.Option(help="Number of draws of each scenario.")] = 20,
     workers: Annotated[int, typer.Option(help="Processes; the outcome is the same.")] = 1,
     out: Annotated[Path, typer.Option(help="Folder for CSVs and configuration.")] = Path(
         "results/study-partial"
@@ -240,7 +240,7 @@ def partial(
 
     [bold]Example[/bold]
 
-      ekfslam study partial --seeds 50
+      ekfslam study partial --workers 2
     """
     from ekfslam.experiments import partial_study
     from ekfslam.experiments.files import check_folder

@@ -99,7 +99,7 @@ class PartialStudy:
 
 
 def partial_study(
-    seeds: int = 50,
+    seeds: int = 20,
     recorded: Sequence[str] = RECORDED,
     workers: int = 1,
     watch: Watch | None = None,
