@@ -343,6 +343,62 @@ def test_the_match_radius_reaches_summary_and_landmarks(data):
     assert len(errors) == found.summary["landmarks_estimated"][0] > 1
 
 
+def test_withheld_identities_are_not_seen_but_scored(data):
+    names = ["ekf", "ekf(association=joint)", "dead-reckoning"]
+    found = compare([data, short("loop-15")], names, withhold_ids=True)
+    assert found.config["ids_withheld"] is True
+    methods = found.summary["association"].fillna("none").tolist()
+    assert methods == ["nearest", "joint", "none"] * 2
+    for dataset in found.datasets.values():
+        assert not dataset.association_known
+        assert (dataset.observations.landmark == -1).all()
+    scores = only(found.summary, estimator="ekf(association=joint)")["association_precision"]
+    assert scores.between(0.9, 1).all()
+    plain = compare(data, "ekf")
+    assert plain.config["ids_withheld"] is False
+    assert plain.summary["association"].tolist() == ["known"]
+
+
+def test_options_of_estimators_in_names(data):
+    found = compare(data, ["ekf", " ekf(update=sequential,accept=0.9)"])
+    name = "ekf(update=sequential, accept=0.9)"
+    assert found.summary["estimator"].tolist() == ["ekf", name]
+    assert found.config["estimators"][name]["update"] == "sequential"
+    assert found.config["estimators"][name]["accept"] == 0.9
+    assert found.estimates["cloister", name].estimator == name
+    alone = ekfslam.estimate(data, "ekf", update="sequential", accept=0.9)
+    np.testing.assert_array_equal(
+        found.estimates["cloister", name].online.poses, alone.online.poses
+    )
+
+
+def test_options_of_recorded_sets_in_names():
+    tight = "victoria-park(odometry_sigmas=(0.05, 0.05, 0.005))"
+    found = compare([tight, "victoria-park"], "dead-reckoning")
+    assert list(found.datasets) == [tight, "victoria-park"]
+    sigmas = [np.sqrt(np.diag(d.robot.motion.covariance)) for d in found.datasets.values()]
+    np.testing.assert_allclose(sigmas, [[0.05, 0.05, 0.005], [0.1, 0.1, 0.01]])
+    assert ekfslam.load(tight).name == tight
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("victoria-park(noize=file)", "noize"),
+        ("victoria-park(noise=mine)", "noise must be"),
+        ("victoria-park(odometry_sigmas=1)", "odometry_sigmas must have shape"),
+        ("victoria-park(sensor_sigmas=(1, -1))", "sensor_sigmas must be standard deviations"),
+        ("victoria-park(path=here, path=there)", "given twice"),
+        ("victoria-park(name=x)", "name"),
+        ("victoria-park(noise=file", "bracket"),
+    ],
+)
+def test_options_of_recorded_sets_that_make_no_sense(name, message):
+    with pytest.raises(InputError, match=message) as caught:
+        compare(name, "dead-reckoning")
+    assert "\n" not in str(caught.value)
+
+
 # Files ------------------------------------------------------------------------------------------
 
 FILES = {*(f"{name}.csv" for name in tables.SCHEMAS), "config.json"}
@@ -489,6 +545,25 @@ def test_figures_of_every_dataset(comparison, figure):
     assert "loop-15" in titles[2]
     with pytest.raises(UnknownNameError, match="did you mean cloister"):
         plot("cloistr")
+
+
+def test_each_of_several_robots_has_its_figures(tmp_path):
+    team = load_scenario("team")
+    plans = [replace(plan, controls=plan.controls[:20]) for plan in team.team]
+    data = simulate(replace(team, controls=team.controls[:20], team=tuple(plans)))
+    found = compare(data, "dead-reckoning")
+    for plot in (found.plot_errors, found.plot_consistency):
+        titles = [plot(robot=name).get_suptitle() for name in (None, "ada", "cid")]
+        assert titles[0] == titles[1]
+        assert "cid" in titles[2]
+        with pytest.raises(UnknownNameError, match="robot of this table 'dora'"):
+            plot("team", "dora")
+    names = {path.name for path in found.save(tmp_path) if path.suffix == ".png"}
+    assert names == {"team-map.png", "team-times.png"} | {
+        f"team-{name}-{figure}.png"
+        for name in ("ada", "bob", "cid")
+        for figure in ("errors", "consistency")
+    }
 
 
 def test_a_notebook_shows_the_summary(comparison):
