@@ -20,6 +20,7 @@ CASES: Mapping[str, tuple[str, ...]] = {
     "cloister-bearing": (
         "ekf",
         "ekf(linearity=0.1)",
+        "ekf(linearity=0.5)",
         "ekf(bearings=naive)",
         "gtsam-batch",
     ),
