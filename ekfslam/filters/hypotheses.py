@@ -50,7 +50,7 @@ def update_bank(state, sightings, i, settings, log):  # type: ignore[no-untyped-
     d = rows_of(sightings.kind[i])
     offsets, weights = bank.offsets[index], bank.weights[index]
     expected, H, z = np.zeros(2), np.zeros((2, 7)), np.zeros(2)
-    total = 0.0
+    before, total = weights.copy(), 0.0
     for h in range(settings.hypotheses):
         if offsets[h] < 0:
             continue
@@ -67,10 +67,7 @@ def update_bank(state, sightings, i, settings, log):  # type: ignore[no-untyped-
         total += weights[h]
     if not total > 0.0:  # no hypothesis explains it: an outlier
         log.decision[i] = REJECTED
-        weights[:] = 0.0
-        alive = max(1, np.sum(offsets >= 0))
-        for h in range(settings.hypotheses):
-            weights[h] = 1.0 / alive if offsets[h] >= 0 else 0.0
+        weights[:] = before
         return
     weights /= total
     prune(state, index, settings)
