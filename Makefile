@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench reference clean
+.PHONY: demo test bench reference bars study clean
 
 demo: $(VENV)/.installed
 	@echo "== four estimators on a simulated park and on the recorded Victoria Park =="
@@ -26,6 +26,14 @@ bench: $(VENV)/.installed
 # Rewrites the stored tables that the accuracy tests compare with.
 reference: $(VENV)/.installed
 	$(BIN)/python tests/reference.py
+
+# Rewrites results/association-bars.csv: what association without identities reaches.
+bars: $(VENV)/.installed
+	$(BIN)/python tests/bars.py
+
+# Rewrites results/study-association.
+study: $(VENV)/.installed
+	$(BIN)/ekfslam study association
 
 $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
