@@ -230,7 +230,7 @@ def association(
 
 @study.command()
 def partial(
-    seeds: Annotated[int, typer.Option(help="Number of draws of each scenario.")] = 20,
+    seeds: Annotated[int, typer.Option(help="Number of draws of each scenario.")] = 50,
     workers: Annotated[int, typer.Option(help="Processes; the outcome is the same.")] = 1,
     out: Annotated[Path, typer.Option(help="Folder for CSVs and configuration.")] = Path(
         "results/study-partial"

@@ -20,7 +20,6 @@ CASES: Mapping[str, tuple[str, ...]] = {
     "cloister-bearing": (
         "ekf",
         "ekf(linearity=0.1)",
-        "ekf(linearity=0.5)",
         "ekf(bearings=naive)",
         "gtsam-batch",
     ),
@@ -100,7 +99,7 @@ class PartialStudy:
 
 
 def partial_study(
-    seeds: int = 20,
+    seeds: int = 50,
     recorded: Sequence[str] = RECORDED,
     workers: int = 1,
     watch: Watch | None = None,
