@@ -37,4 +37,4 @@ def test_notebook_is_kept_without_outputs(path):
 
 
 def test_there_are_notebooks():
-    assert [path.stem for path in NOTEBOOKS] == ["01_quickstart", "02_from_the_texts"]
+    assert {"01_quickstart", "02_from_the_texts"} <= {path.stem for path in NOTEBOOKS}
