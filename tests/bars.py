@@ -4,9 +4,9 @@ Park: many draws with the identities withheld, against the known association on 
 
 Victoria Park: one recorded run, against the batch smoother with the given association. With the
 cautious default noise no method closes its loops. The noise of `TIGHT` is near what smoothing
-leaves of the given association: ranges and bearings spread by 0.23 m and 0.034 rad; odometry by 1
-cm and 1 cm per step, and by a heading that drifts: 0.0018 rad per step, but 0.01 rad for the root
-of the steps when a hundred of them are added up. Noise and gates were chosen with this run in view,
+leaves of the given association: ranges and bearings spread by 0.23 m and 0.034 rad; the odometry by
+0.01 m and 0.0018 rad per step, but, since it drifts, by 0.03 m and 0.01 rad per root of the steps
+when a hundred of them are added up. Noise and gates were chosen with this run in view,
 and the share of `neighbours` says how far that choice carries.
 """
 
