@@ -50,7 +50,7 @@ def seen_once(dataset, sensor, from_step):
 
 
 def test_the_landmark_is_that_of_one_gaussian_over_all_poses():
-    """Dense: the chain of poses, ranges linearised where the filter did, and no prior of the beacon.
+    """Dense: the chain of poses, ranges linearised where the filter did, no prior of the beacon.
 
     Where that is, the filter's search for the least squares optimum tells to some 1e-9.
     """

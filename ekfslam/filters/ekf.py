@@ -20,10 +20,9 @@ from ekfslam.estimates import (
 )
 from ekfslam.filters.arrays import Journal, Log
 from ekfslam.filters.ekf_slam import DONE, INDEFINITE
-from ekfslam.filters.engine import Engine, check_views
+from ekfslam.filters.engine import Engine, check_views, views_of_landmarks
 from ekfslam.filters.options import Options
 from ekfslam.geometry import compose, compose_jacobians, congruence, heading_block
-from ekfslam.models.sensors import BEARING
 from ekfslam.registry import Progress
 
 EVENTS = 4  # journal entries per observation at most, on average: seen, created, converted, waited
@@ -59,7 +58,7 @@ class Ekf(Options):
     def warm_up(self, dataset: Dataset) -> None:
         """Compile, or load from disk, what a dataset needs, so that no clock has to count it."""
         association = self._association(dataset)
-        self._prepare(dataset, association, _kinds(dataset), Journal.of(0))
+        self._prepare(dataset, association, views_of_landmarks(dataset.sightings), Journal.of(0))
 
     def linearizations(self, dataset: Dataset) -> tuple[Estimate, Linearizations]:
         """Estimate a dataset and tell every linearisation that was used.
@@ -117,9 +116,8 @@ class Ekf(Options):
         engine.prepare(moves, dataset.offsets[:1].copy(), nothing, log, journal)
 
     def _run(self, dataset: Dataset, progress: Progress | None, journal: Journal) -> Estimate:
-        association, kinds = self._association(dataset), _kinds(dataset)
-        nearest = dataset.sightings.limits[dataset.sightings.kind == BEARING, 0]
-        check_views(self, association, kinds, float(nearest.min(initial=np.inf)))
+        association, kinds = self._association(dataset), views_of_landmarks(dataset.sightings)
+        check_views(self, association, dataset.sightings)
         steps = dataset.poses
         noted = len(journal.event) > 0
         self._prepare(dataset, association, kinds, journal)
@@ -175,8 +173,3 @@ class Ekf(Options):
             message="; ".join(notes),
             options=asdict(self),
         )
-
-
-def _kinds(dataset: Dataset) -> set[int]:
-    """Codes of the views in a dataset."""
-    return {int(kind) for kind in np.unique(dataset.sightings.kind)}

@@ -312,23 +312,28 @@ class Engine:
         return int(np.isin(sizes, [INVERSE_DEPTH, BANKED]).sum()) + len(waits)
 
 
-def check_views(options: Options, association: str, kinds: set[int], nearest: float) -> None:
-    """Refuse what cannot work with the views of a dataset.
+def views_of_landmarks(sightings: Sightings) -> set[int]:
+    """Codes of the views that show landmarks; robots that are seen ask nothing of a view."""
+    return {int(kind) for kind in np.unique(sightings.kind[sightings.target < 0])}
+
+
+def check_views(options: Options, association: str, sightings: Sightings) -> None:
+    """Refuse what cannot work with the views of landmarks.
 
     Parameters
     ----------
     options : Options
     association : str
-    kinds : set of int
-        Codes of the views.
-    nearest : float
-        Least minimum range of the sensors of bearings [m].
+    sightings : Sightings
 
     Raises
     ------
     UnsupportedError
         Says what to do.
     """
+    kinds = views_of_landmarks(sightings)
+    bearings = (sightings.kind == BEARING) & (sightings.target < 0)
+    nearest = sightings.limits[bearings, 0].min(initial=np.inf)
     partial = kinds & {BEARING, RANGE}
     if partial and association in OF_POINTS:
         raise UnsupportedError(f"association {association!r} needs sensors that determine a point")

@@ -17,7 +17,7 @@ from ekfslam.filters.measure import POSE
 from ekfslam.filters.options import Options
 from ekfslam.filters.upkeep import delete
 from ekfslam.geometry import Array
-from ekfslam.models.sensors import BEARING, VIEWS
+from ekfslam.models.sensors import VIEWS
 
 
 class EkfSlam:
@@ -115,9 +115,7 @@ class EkfSlam:
         robots = self._engine.settings.robots
         if (seen.robot >= robots).any() or (seen.target >= robots).any():
             raise InputError(f"observations name a robot that there is not: there are {robots}")
-        bearings = seen.limits[seen.kind == BEARING, 0]
-        nearest = float(bearings.min(initial=np.inf))
-        check_views(self._options, self._engine.association, set(seen.kind.tolist()), nearest)
+        check_views(self._options, self._engine.association, seen)
         count = len(seen.values)
         codes = [
             self._ids.setdefault(int(i), len(self._ids)) if i >= 0 else -1
