@@ -8,7 +8,7 @@ import pytest
 import reference
 
 SEEDS_RUN = 3
-KEYS = ["estimator", "series"]
+KEYS = ["robot", "estimator", "series"]
 METRICS = [
     "ate_position_rmse_m",
     "ate_heading_rmse_rad",
@@ -17,6 +17,8 @@ METRICS = [
     "landmark_rmse_m",
     "nees_pose_mean",
     "nees_landmark_mean",
+    "association_precision",
+    "association_recall",
     "nis_per_dof",
     "graph_chi2_per_dof",
     "gap_final_position_m",
