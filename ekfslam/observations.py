@@ -216,6 +216,13 @@ class Sightings(NamedTuple):
             raise InputError(f"landmark must not be below {NO_LANDMARK}, which stands for unknown")
         if not is_covariance(covariance).all():
             raise InputError("covariance holds a matrix that is not positive semi-definite")
+        same = np.column_stack([kind, mount, robot, limits])
+        together = np.diff(look) == 0
+        if (same[1:] != same[:-1])[together].any():
+            raise InputError(
+                "rows of one look must be of one sensor of one robot: observe them one after "
+                "another, or give each sensor a look of its own"
+            )
         known = (landmark >= 0) | (target >= 0)
         pairs = np.column_stack([landmark, target, look])[known]
         if len(np.unique(pairs, axis=0)) < len(pairs):

@@ -12,7 +12,7 @@ from ekfslam.association.nearest import NEW as NEW_LANDMARK
 from ekfslam.compiled import now, prepare
 from ekfslam.dataset import Prior, Sightings
 from ekfslam.errors import UnsupportedError
-from ekfslam.estimates import LandmarkEstimates
+from ekfslam.estimates import Decision, LandmarkEstimates
 from ekfslam.filters.arrays import Bank, Journal, Log, Register, State, Tentative, Waiting
 from ekfslam.filters.ekf_slam import (
     DONE,
@@ -42,6 +42,7 @@ from ekfslam.filters.upkeep import upkeep
 from ekfslam.filters.waiting import MOST
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import BEARING, RANGE
+from ekfslam.observations import WIDTH
 
 TENTATIVES = 256  # things that can be tentative at once
 CLONES = 128  # past poses that can be in the state at once
@@ -218,18 +219,22 @@ class Engine:
         """The loop of `ekfslam.filters.ekf_slam.run` over looks, with all that may be in them."""
         settings = self.settings
         while first < last:
-            until = end_of_look(sightings, first, last) if settings.scan else first + 1
-            used = int(self.register.used[0])
-            self.recognise(sightings, first, until, log)
-            if not self._use(sightings, first, until, k, log, journal):
-                self.register.used[0] = used  # what failed leaves no landmarks behind
-                return False
-            look = self.state, sightings, first, until
-            if settings.partial:
-                see_to_partial(*look, settings, log, journal)
+            end = end_of_look(sightings, first, last)
+            for at in [first] if settings.scan else range(first, end):
+                until = end if settings.scan else at + 1
+                used = int(self.register.used[0])
+                self.recognise(sightings, at, until, log)
+                if not self._use(sightings, at, until, k, log, journal):
+                    # What failed leaves nothing behind.
+                    self.register.used[0] = used
+                    log.decision[at:until], log.landmark[at:until] = Decision.REJECTED, -1
+                    return False
+                if settings.partial:
+                    part = self.state, sightings, at, until
+                    see_to_partial(*part, settings, log, journal)
             if settings.corrupt or settings.forget or settings.descriptor_variance:
-                upkeep(*look, settings, log)
-            first = until
+                upkeep(self.state, sightings, first, end, settings, log)
+            first = end
         return True
 
     def _use(
@@ -268,6 +273,12 @@ class Engine:
         """Decide on all observations of a look together."""
         if self.settings.method == GLOBAL:
             return global_nearest_neighbour(evidence.distances, evidence.accept, evidence.new)
+        most = (len(self.settings.compatible) - 1) // WIDTH
+        if len(evidence.rows) > most:
+            raise UnsupportedError(
+                f"joint compatibility takes up to {most} observations in a look, "
+                f"got {len(evidence.rows)}"
+            )
         choice = np.full(len(evidence.rows), NEW_LANDMARK)
         if not decide_jointly(self.state, sightings, evidence, self.settings, choice):
             self.searches_cut += 1
@@ -305,11 +316,13 @@ class Engine:
 
     @property
     def undetermined(self) -> int:
-        """Landmarks that are seen but not yet points: directions, hypotheses, waiting ranges."""
+        """Landmarks that are seen but not yet points: directions, hypotheses, ranges alone."""
         used = int(self.register.used[0])
-        sizes = self.register.sizes[:used]
-        waits = np.unique(self._waiting.landmark[self._waiting.row >= 0])
-        return int(np.isin(sizes, [INVERSE_DEPTH, BANKED]).sum()) + len(waits)
+        sizes, unmapped = self.register.sizes[:used], self.register.offsets[:used] < 0
+        count = int(np.isin(sizes, [INVERSE_DEPTH, BANKED]).sum())
+        if len(self._waiting.row):  # what has no coordinates yet waits, or did
+            count += int((unmapped & (sizes == 0)).sum())
+        return count
 
 
 def views_of_landmarks(sightings: Sightings) -> set[int]:

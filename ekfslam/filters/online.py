@@ -52,11 +52,11 @@ class EkfSlam:
         if not priors or not all(isinstance(each, Prior) for each in priors):
             raise InputError(f"prior must be a Prior(mean, covariance), got {prior!r}")
         try:
-            self._options = Options(association, **options)
+            self._options = Options(association or "known", **options)
         except TypeError as error:
             raise InputError(f"EkfSlam: {error}") from None
         kinds = {view.code for view in VIEWS.values()}
-        self._engine = Engine(priors, self._options, association, kinds)
+        self._engine = Engine(priors, self._options, self._options.association or "known", kinds)
         self._ids: dict[int, int] = {}
         self._step = -1
 

@@ -45,6 +45,7 @@ BEARINGS = ("inverse-depth", "naive")
 DELAYED, BANK, NAIVE = range(3)
 RANGES = {"delayed": DELAYED, "bank": BANK, "naive": NAIVE}
 DIMENSIONS = 4  # gates are for innovations of 1 or 2 rows, and one more with a descriptor
+MOST = 2**31  # of any count
 LARGEST_LOOK = 2048  # rows of innovations that a joint gate is tabulated for
 
 
@@ -127,8 +128,9 @@ class Options:
         What stands for infinity [m^2]. At 1e6 the covariance is off by some 1e-7, relative; with
         more it loses digits, with less it is a prior.
     confirm, within : int
-        A new landmark must have been seen in `confirm` looks within `within` steps before it enters
-        the map; until then the filter knows nothing of it. 1 by default: at once.
+        A new landmark must have been seen in `confirm` steps, the last of them less than `within`
+        steps after the first, before it enters the map; until then the filter knows nothing of it,
+        and what is not seen often enough in time starts anew. 1 by default: at once.
     bearings : {"inverse-depth", "naive"}
         How a bearing starts a landmark: with a prior on the inverse depth from the sensor's
         minimum range (Solà, 2.3.6; the default), or, as a bad example, with a Gaussian prior on the
@@ -147,10 +149,11 @@ class Options:
         Probability below which a hypothesis is dropped, as a share of an equal one.
     forget : int
         Delete a landmark that was not seen in so many more looks than it was seen, of those in
-        which it should have been; 0, the default, never does.
+        which it should have been; 0, the default, never does. A look that shows nothing at all is
+        not in the data and counts for nothing; a sighting that is not accepted counts as a miss.
     corrupt : int
         Delete a landmark when `known_gate` has refused so many sightings of it in a row; 0, the
-        default, never does.
+        default, never does, nor does it without a gate.
 
     Raises
     ------
@@ -196,12 +199,16 @@ class Options:
                 raise InputError(f"{name} must be one of {listed}, got {getattr(self, name)!r}")
         Gates(self.accept, self.new)
         chi2_gate(self.compatible, 1)
-        if self.known_gate is not None:
-            chi2_gate(self.known_gate, 1)
+        if self.known_gate is not None and not chi2_gate(self.known_gate, 1) > 0:
+            raise InputError("known_gate 0 would let nothing pass; leave it out for no gate")
         for name in ("radius", "variance", "linearity"):
             _positive(getattr(self, name), name)
         if self.descriptor_sigma is not None:
             _positive(self.descriptor_sigma, "descriptor_sigma")
+        if not isinstance(self.naive_distance, tuple | list) or len(self.naive_distance) != 2:
+            raise InputError(
+                f"naive_distance must be a mean and a deviation, got {self.naive_distance!r}"
+            )
         for value in self.naive_distance:
             _positive(value, "naive_distance")
         for name, least in (
@@ -213,7 +220,8 @@ class Options:
             ("corrupt", 0),
         ):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not whole or not least <= value <= MOST:
                 raise InputError(f"{name} must be a whole number from {least} on, got {value!r}")
         if not 0 <= checked_number(self.prune, "prune") < 1:
             raise InputError(f"prune must be in [0, 1), got {self.prune}")

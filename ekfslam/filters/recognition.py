@@ -293,7 +293,8 @@ def decide(evidence, settings, choice):  # type: ignore[no-untyped-def]
     elif settings.method in (EUCLIDEAN_FIRST, MAHALANOBIS_FIRST):
         first_within(evidence.points, settings.threshold, choice)
     elif settings.method == SMALLEST_DISTANCE:
-        smallest_distance(distances, settings.threshold, choice)
+        # One alpha for a look, by the rows of its observations.
+        smallest_distance(distances, accept[0] if accept.size > 0 else 0.0, choice)
     elif settings.method == MAXIMUM_LIKELIHOOD:
         maximum_likelihood(distances, evidence.logdets, accept, new, choice)
 

@@ -57,9 +57,7 @@ def wait(state, sightings, i, settings, log, journal):  # type: ignore[no-untype
     if not moved_on(state, index, robot, mount, sightings.values[i, 0]):
         return
     place = free_place(state, index)
-    clone = clone_of(state, robot) if place >= 0 else -1
-    if clone < 0:
-        return
+    clone = clone_of(state, robot)
     log.decision[i] = KEPT
     waiting.row[place], waiting.landmark[place], waiting.clone[place] = i, index, clone
     waiting.kind[place], waiting.mount[place] = sightings.kind[i], mount
@@ -95,42 +93,57 @@ def moved_on(state, index, robot, mount, distance):  # type: ignore[no-untyped-d
 
 @compiled
 def free_place(state, index):  # type: ignore[no-untyped-def]
-    """A place among what waits, of the oldest if the landmark has `MOST`; -1 if there is none."""
+    """A place among what waits: the oldest goes if the landmark has `MOST`, or all are taken."""
     waiting = state.waiting
-    free, count, oldest = -1, 0, -1
+    free, count, oldest, eldest = -1, 0, -1, -1
     for w in range(waiting.row.size):
         if waiting.row[w] < 0:
             free = w
-        elif waiting.landmark[w] == index:
+            continue
+        step = waiting.step[waiting.clone[w]]
+        if eldest < 0 or step < waiting.step[waiting.clone[eldest]]:
+            eldest = w
+        if waiting.landmark[w] == index:
             count += 1
-            step = waiting.step[waiting.clone[w]]
             if oldest < 0 or step < waiting.step[waiting.clone[oldest]]:
                 oldest = w
-    if count >= MOST:
-        waiting.row[oldest] = -1
-        free_clones(state)
-        return oldest
-    return free
+    if count < MOST and free >= 0:
+        return free
+    place = oldest if count >= MOST else eldest
+    waiting.row[place] = -1
+    free_clones(state)
+    return place
 
 
 @compiled
 def clone_of(state, robot):  # type: ignore[no-untyped-def]
-    """The clone of a robot's present pose, made if needed; -1 if there is no room."""
+    """The clone of a robot's present pose, made if needed.
+
+    Where there is no room for one more, the oldest goes, with what waits for it: a landmark that a
+    straight path does not determine must not keep all others out.
+    """
     waiting, slam, now = state.waiting, state.slam, state.clock[0]
-    free = -1
+    free, oldest = -1, 0
     for c in range(waiting.clones.size):
         if waiting.clones[c] < 0:
             free = c
         elif waiting.step[c] == now and waiting.robot[c] == robot:
             return c
-    if free >= 0:
-        n, pose = slam.size[0], POSE * robot
-        G = np.zeros((1, POSE, POSE))
-        G[0, 0, 0] = G[0, 1, 1] = G[0, 2, 2] = 1.0
-        here, none = slam.mean[pose : pose + POSE].copy(), np.zeros((POSE, POSE))
-        append(slam.mean, slam.covariance, n, np.array([pose]), here, POSE, G, none)
-        slam.size[0] = n + POSE
-        waiting.clones[free], waiting.step[free], waiting.robot[free] = n, now, robot
+        elif waiting.clones[oldest] < 0 or waiting.step[c] < waiting.step[oldest]:
+            oldest = c
+    if free < 0:
+        free = oldest
+        for w in range(waiting.row.size):
+            if waiting.clone[w] == oldest:
+                waiting.row[w] = -1
+        free_clones(state)
+    n, pose = slam.size[0], POSE * robot
+    G = np.zeros((1, POSE, POSE))
+    G[0, 0, 0] = G[0, 1, 1] = G[0, 2, 2] = 1.0
+    here, none = slam.mean[pose : pose + POSE].copy(), np.zeros((POSE, POSE))
+    append(slam.mean, slam.covariance, n, np.array([pose]), here, POSE, G, none)
+    slam.size[0] = n + POSE
+    waiting.clones[free], waiting.step[free], waiting.robot[free] = n, now, robot
     return free
 
 

@@ -234,7 +234,10 @@ class Sensor:
         UnsupportedError
             For a partial view, which does not determine a point.
         """
-        back_project, back_project_jacobian = self.view.back_project, self.view.back_project_jacobian
+        back_project, back_project_jacobian = (
+            self.view.back_project,
+            self.view.back_project_jacobian,
+        )
         if back_project is None or back_project_jacobian is None:
             raise UnsupportedError(f"one {self.kind} of {self.name} does not determine a point")
         poses, values = np.asarray(poses, dtype=float), np.asarray(values, dtype=float)
