@@ -267,13 +267,16 @@ def vanishing(name, forget):
     return rows_kept(dataset, keep), np.array(gone)
 
 
+@pytest.mark.parametrize("matching", ["scan", "one-by-one"])
 @pytest.mark.parametrize("association", ["known", "nearest"])
 @pytest.mark.parametrize("name", ["loop-15", "team", "park"])
-def test_what_vanished_from_a_world_is_forgotten_and_nothing_else(name, association):
+def test_what_vanished_from_a_world_is_forgotten_and_nothing_else(name, association, matching):
+    """However a look is matched, it is one look: what any of its sightings shows is not missed."""
     dataset, gone = vanishing(name, 8)
     assert len(gone) == 4
-    kept = Ekf(association=association).estimate(dataset)
-    estimate = Ekf(association=association, forget=8).estimate(dataset)
+    options = {"association": association, "matching": matching}
+    kept = Ekf(**options).estimate(dataset)
+    estimate = Ekf(**options, forget=8).estimate(dataset)
     lost = np.setdiff1d(kept.landmarks.ids, estimate.landmarks.ids)
     if association == "known":
         np.testing.assert_array_equal(lost, gone)
@@ -282,7 +285,7 @@ def test_what_vanished_from_a_world_is_forgotten_and_nothing_else(name, associat
         founded = decision == Decision.NEW
         true = dict(zip(own[founded], dataset.true_landmark[founded], strict=True))
         assert sorted(true[i] for i in lost) == gone.tolist()
-    assert_same_bits(estimate, dataset, association=association, forget=8)
+    assert_same_bits(estimate, dataset, **options, forget=8)
 
 
 def test_what_was_forgotten_no_longer_counts_and_what_came_before_does():
