@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from ekfslam import EkfSlam
 from ekfslam import geometry as geo
@@ -206,3 +207,23 @@ def test_a_search_that_is_cut_is_told(limit, cut):
     values = np.array([point for point, _ in crowd[:4]])
     slam.observe(Sightings.of(XY, values))
     assert (slam._engine.searches_cut > 0) == cut
+
+
+def test_a_descriptor_is_one_more_row_of_the_innovation():
+    """Its variance is that of the reading and of the mean of n readings before."""
+    sigma, readings = 0.05, [0.30, 0.34, 0.35]
+    slam = EkfSlam(association="nearest", descriptor_sigma=sigma)
+    for reading in readings:
+        slam.observe(Sightings.of(XY, [[5.0, 0.0], [0.0, 5.0]], descriptor=[reading, np.nan]))
+    seen = Sightings.of(XY, [[5.1, 0.0], [5.1, 0.0]], descriptor=[0.5, np.nan])
+    found, plain = (
+        evidence(slam, seen),
+        evidence(slam, seen._replace(descriptor=np.full(2, np.nan))),
+    )
+    more = (0.5 - np.mean(readings)) ** 2 / (sigma**2 * (1 + 1 / 3))
+    np.testing.assert_allclose(found.distances[0, 0] - plain.distances[0, 0], more, rtol=1e-9)
+    # Where there is nothing to compare, nothing is added; gates are those of the rows there are.
+    np.testing.assert_array_equal(found.distances[1], plain.distances[1])
+    np.testing.assert_array_equal(found.distances[:, 1], plain.distances[:, 1])
+    np.testing.assert_allclose(found.accept, chi2.ppf(0.999, [3, 2]), rtol=1e-9)
+    np.testing.assert_allclose(found.new, chi2.ppf(0.999999, [3, 2]), rtol=1e-9)
