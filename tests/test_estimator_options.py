@@ -97,7 +97,7 @@ def test_the_name_in_tables_is_the_text_with_normal_spacing(given, shown):
         ("ekf(confirm=3, confirm=4)", "option confirm is given twice"),
         ("ekf(confirm=three)", "confirm must be a whole number from 1 on, got 'three'"),
         ("ekf(association=jiont)", "association must be one of known, nearest"),
-        ("ekf(naive_distance=5)", "cannot make the estimator"),
+        ("ekf(naive_distance=5)", "naive_distance must be a mean and a deviation"),
         ("dead-reckoning(gate=1)", "dead-reckoning takes no options, got gate"),
     ],
 )
