@@ -108,7 +108,7 @@ WAYS = [
     ("two-sensors", {"matching": "one-by-one", "known_gate": 0.9999, "corrupt": 3, "forget": 9}),
     ("cloister-bearing", {"bearings": "naive"}),
     ("cloister-bearing", {"association": "global"}),
-    ("cloister-range", {"ranges": "bank"}),
+    ("cloister-range", {"ranges": "bank", "hypotheses": 6}),
     ("cloister-range", {"ranges": "naive"}),
     *(
         ("orchard", {"association": association, "confirm": 3, "within": 8})
