@@ -4,5 +4,14 @@ from ekfslam.simulation.plans import RobotPlan, SensorPlan
 from ekfslam.simulation.reading import load_scenario, scenarios
 from ekfslam.simulation.scenario import Scenario
 from ekfslam.simulation.simulate import simulate
+from ekfslam.simulation.variants import scenario_hash
 
-__all__ = ["RobotPlan", "Scenario", "SensorPlan", "load_scenario", "scenarios", "simulate"]
+__all__ = [
+    "RobotPlan",
+    "Scenario",
+    "SensorPlan",
+    "load_scenario",
+    "scenario_hash",
+    "scenarios",
+    "simulate",
+]

@@ -23,6 +23,7 @@ from ekfslam.robots import LandmarkMap, Prior
 from ekfslam.simulation.paths import PATHS
 from ekfslam.simulation.plans import RobotPlan, SensorPlan
 from ekfslam.simulation.scenario import Scenario
+from ekfslam.simulation.variants import change
 from ekfslam.simulation.worlds import WORLDS
 
 DEFAULT_SLIP = 1e-3  # [m] per step: two noisy controls alone make a singular covariance
@@ -34,14 +35,21 @@ def scenarios() -> tuple[str, ...]:
     return tuple(sorted(_shipped()))
 
 
-def load_scenario(scenario: str | PathLike[str]) -> Scenario:
-    """The scenario of a name or of a TOML file.
+def load_scenario(
+    scenario: str | PathLike[str], changes: Mapping[str, Any] | None = None
+) -> Scenario:
+    """The scenario of a name or of a TOML file, as it is or with some values changed.
 
     Parameters
     ----------
     scenario : str or path
         A name of `scenarios`, or a path that ends in ``.toml``; the scenario is then called after
         its file.
+    changes : mapping of str to value, optional
+        Values of the file to set before it is read, by dotted key, with the numbers of list items
+        from 0: ``{"motion.sigmas": [0.1, 0.1], "sensors.0.max_range": 8.0, "path.repeat": 100}``.
+        A table that the file does not have is made: ``{"prior.sigmas": [0.1, 0.1, "5 deg"]}``. A
+        `covariance` gives way to `sigmas` and the other way round.
 
     Raises
     ------
@@ -50,8 +58,8 @@ def load_scenario(scenario: str | PathLike[str]) -> Scenario:
     FileFormatError
         If the file is missing or no TOML; the message says the line.
     InputError
-        For unknown or missing keys and values that make no sense; the message names the file,
-        the table and the key.
+        For unknown or missing keys, of the file or of `changes`, and values that make no sense;
+        the message names the file, the table and the key.
     """
     shipped = _shipped()
     file: Path | Traversable
@@ -68,6 +76,7 @@ def load_scenario(scenario: str | PathLike[str]) -> Scenario:
     except OSError as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else error.strerror
         raise FileFormatError(f"{where}: {reason}") from None
+    change(document, changes or {}, where)
     return _build(Path(file.name).stem, document, where)
 
 
