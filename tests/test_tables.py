@@ -197,8 +197,9 @@ def test_every_column_is_documented_and_every_documented_column_exists():
         section.split("\n", 1)[0].strip(): re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
         for section in sections
     }
+    others = ("Conventions", "Campaign tables")  # those of campaigns have tests of their own
     assert {name: list(columns) for name, columns in SCHEMAS.items()} == {
-        name: columns for name, columns in documented.items() if name != "Conventions"
+        name: columns for name, columns in documented.items() if name not in others
     }
 
 

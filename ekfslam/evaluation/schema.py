@@ -18,14 +18,15 @@ from ekfslam.errors import FileFormatError, UnknownNameError
 TEXT, WHOLE, REAL = "string", "Int64", "float64"
 
 
-def _schema(*groups: tuple[str, str]) -> dict[str, str]:
+def schema_of(*groups: tuple[str, str]) -> dict[str, str]:
+    """Columns with their dtypes, from (dtype, names) in order."""
     return {name: dtype for dtype, names in groups for name in names.split()}
 
 
 _RUN = ((TEXT, "dataset"), (WHOLE, "seed"), (TEXT, "robot estimator"))
 
 SCHEMAS: Mapping[str, Mapping[str, str]] = {
-    "summary": _schema(
+    "summary": schema_of(
         *_RUN,
         (TEXT, "series association alignment status message"),
         (WHOLE, "steps observations"),
@@ -42,7 +43,7 @@ SCHEMAS: Mapping[str, Mapping[str, str]] = {
         (REAL, "sigma_ratio_position sigma_ratio_heading"),
         (REAL, "time_total_s time_marginals_s time_per_step_median_us time_per_step_p99_us"),
     ),
-    "trajectories": _schema(
+    "trajectories": schema_of(
         *_RUN,
         (TEXT, "series"),
         (WHOLE, "step"),
@@ -53,14 +54,14 @@ SCHEMAS: Mapping[str, Mapping[str, str]] = {
         (WHOLE, "nis_dof"),
         (REAL, "time_step_s"),
     ),
-    "landmarks": _schema(
+    "landmarks": schema_of(
         *_RUN,
         (TEXT, "series"),
         (WHOLE, "landmark true_landmark"),
         (REAL, "x_m y_m cov_xx cov_xy cov_yy true_x_m true_y_m"),
         (REAL, "error_x_m error_y_m error_m nees"),
     ),
-    "innovations": _schema(
+    "innovations": schema_of(
         *_RUN,
         (WHOLE, "step"),
         (REAL, "time_s"),
@@ -70,7 +71,7 @@ SCHEMAS: Mapping[str, Mapping[str, str]] = {
         (REAL, "innovation_0 innovation_1 S_00 S_01 S_11 nis"),
         (WHOLE, "dof"),
     ),
-    "association": _schema(
+    "association": schema_of(
         *_RUN,
         (WHOLE, "step observations mapped accepted correct false missed new duplicates spurious"),
         (WHOLE, "merges rejected ambiguous tentative"),
