@@ -189,4 +189,4 @@ def test_equal_digests_draw_equal_data():
     assert scenario_hash(variant) == scenario_hash(spelt)
     one, other = simulate(variant, seed=3), simulate(spelt, seed=3)
     np.testing.assert_array_equal(one.observations.values, other.observations.values)
-    np.testing.assert_array_equal(one.controls, other.controls)
+    np.testing.assert_array_equal(one.robots[0].controls, other.robots[0].controls)

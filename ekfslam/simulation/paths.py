@@ -7,6 +7,7 @@ name and parameters are the ``[path]`` table of a scenario.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from math import atan2, cos, hypot, pi, remainder, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -29,11 +30,14 @@ class Path(NamedTuple):
         Commands, in the columns of the motion model.
     motion : str or None
         The one kind of motion model that the controls are for; None if they are as given.
+    wheelbase : float or None
+        Of the car that they steer [m]; None if they steer none.
     """
 
     start: Array
     controls: Array
     motion: str | None = None
+    wheelbase: float | None = None
 
 
 def repeated(start: Array, controls: Array, repeat: int = 1) -> Path:
@@ -123,8 +127,89 @@ def unguided(start: Array, steps: int) -> Path:
     return Path(np.asarray(start, dtype=float), np.zeros((steps, 0)), "none")
 
 
+def steered(
+    start: Array,
+    waypoints: Array,
+    speed: float,
+    time_step: float,
+    wheelbase: float,
+    max_steer: float,
+    steer_rate: float,
+    radius: float = 1.0,
+    laps: int = 1,
+) -> Path:
+    """A car that steers for one waypoint after the other (Bailey et al. 2006).
+
+    The wheels turn towards the waypoint from where the car truly is, as fast and as far as they
+    may. A waypoint is reached within `radius`; after the last one a lap begins anew with the
+    first, and the run ends at the last waypoint of the last lap.
+
+    Parameters
+    ----------
+    start : (3,) array_like
+        The wheels point straight ahead.
+    waypoints : (n, 2) array_like
+        [m]
+    speed : float
+        Of the front wheels [m/s].
+    time_step : float
+        Of a control [s].
+    wheelbase : float
+        [m], the same as of the motion model.
+    max_steer, steer_rate : float
+        Largest angle of the wheels [rad] and how fast it changes [rad/s].
+    radius : float
+        [m]
+    laps : int
+
+    Returns
+    -------
+    Path
+        Controls (V, gamma, dt) for the motion model ``car``.
+
+    Raises
+    ------
+    InputError
+        For values that are not positive, waypoints that are no list of points, and a waypoint that
+        the car circles without reaching it.
+    """
+    start, waypoints = np.asarray(start, dtype=float), np.asarray(waypoints, dtype=float)
+    if start.shape != (3,) or waypoints.ndim != 2 or waypoints.shape[1] != 2 or not len(waypoints):
+        raise InputError("start must be a pose (x, y, theta) and waypoints a list of points (x, y)")
+    positive = np.array([speed, time_step, wheelbase, max_steer, steer_rate, radius, laps])
+    if not (np.isfinite(positive).all() and (positive > 0).all() and max_steer < pi / 2):
+        raise InputError(
+            "speed, time_step, wheelbase, steer_rate, radius and laps must be positive, "
+            "and max_steer an angle up to 90 deg"
+        )
+    x, y, heading = start.tolist()
+    step, turning, steer = speed * time_step, wheelbase / sin(max_steer), 0.0
+    angles = []
+    for number, (to_x, to_y) in enumerate(waypoints.tolist() * laps):
+        patience = int(10 * (hypot(to_x - x, to_y - y) + turning) / step)
+        while hypot(to_x - x, to_y - y) > radius:
+            wanted = remainder(atan2(to_y - y, to_x - x) - heading - steer, 2 * pi)
+            most = steer_rate * time_step
+            steer += min(max(wanted, -most), most)
+            steer = min(max(steer, -max_steer), max_steer)
+            angles.append(steer)
+            x += step * cos(heading + steer)
+            y += step * sin(heading + steer)
+            heading += step * sin(steer) / wheelbase
+            patience -= 1
+            if not patience:
+                raise InputError(
+                    f"waypoint {number % len(waypoints) + 1} cannot be reached: the car turns on "
+                    f"{turning:.3g} m at best and passes it by more than {radius:g} m"
+                )
+    gamma = np.array(angles)
+    controls = np.column_stack([np.full_like(gamma, speed), gamma, np.full_like(gamma, time_step)])
+    return Path(start, controls, "car", wheelbase)
+
+
 PATHS: Mapping[str, Callable[..., Path]] = {
     "controls": repeated,
     "figure-eight": figure_eight,
+    "waypoints": steered,
     "unguided": unguided,
 }

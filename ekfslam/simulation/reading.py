@@ -167,6 +167,8 @@ def _robot(table: dict[str, Any], where: str) -> RobotPlan:
     motion = _motion(*_section(table, "motion", where))
     if path.motion not in (None, motion.kind):
         raise InputError(f"{where}: this path needs the motion kind {path.motion!r}")
+    if path.wheelbase not in (None, motion.wheelbase):
+        raise InputError(f"{where}: path and motion need the same wheelbase")
     prior, draw_prior = None, False
     if "prior" in table:
         prior, draw_prior = _prior(path.start, *_section(table, "prior", where))
