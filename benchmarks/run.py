@@ -213,7 +213,8 @@ def association() -> list[list[Any]]:
         for k in range(data.poses):
             first, last = (int(row) for row in data.offsets[k : k + 2])
             engine.make_room(last - first)
-            engine.predict(k, data.moves.deltas[:, k].copy(), data.moves.covariances[:, k].copy())
+            moves = (part[:, k].copy() for part in data.moves)
+            engine.predict(k, *moves, sightings.rows(0, 0))
             look = engine.state, sightings, first, last
             begin = time.perf_counter()
             engine.recognise(sightings, first, last, log)

@@ -24,7 +24,14 @@ from numba.extending import overload
 F = TypeVar("F", bound=Callable)
 PACKAGE = Path(__file__).parent
 # What compiled functions are made of, with the constants that are frozen into them.
-SOURCES = ("compiled.py", "estimates.py", "association/*.py", "filters/*.py", "models/*.py")
+SOURCES = (
+    "compiled.py",
+    "estimates.py",
+    "association/*.py",
+    "filters/*.py",
+    "filters/variants/*.py",
+    "models/*.py",
+)
 
 
 @cache

@@ -12,6 +12,33 @@ import numpy as np
 from ekfslam.geometry import Array
 
 
+class Points(NamedTuple):
+    """Where the family of filters linearises, if not at the estimate; see `variants`.
+
+    Attributes
+    ----------
+    at : (capacity,) ndarray
+        Point of every coordinate of the state.
+    first : (capacity,) ndarray
+        What a variant remembers of them.
+    poses : (R, K + 1, 3) ndarray
+        True poses, for the ideal filter alone.
+    places : (M, 2) ndarray
+        True position of what each observation shows, NaN where it is nothing; likewise.
+    """
+
+    at: Array
+    first: Array
+    poses: Array
+    places: Array
+
+    @classmethod
+    def of(cls, capacity: int) -> Points:
+        """Points of nothing yet, and no truth."""
+        none = np.zeros((0, 0, 3)), np.zeros((0, 2))
+        return cls(np.zeros(capacity), np.zeros(capacity), *none)
+
+
 class MapArrays(NamedTuple):
     """The Gaussian map.
 
@@ -19,14 +46,16 @@ class MapArrays(NamedTuple):
     ----------
     mean : (capacity,) ndarray
     covariance : (capacity, capacity) ndarray
-        Its upper triangle up to `size` is the covariance.
+        Its upper triangle up to `size` is the covariance, in the error coordinates of the filter.
     size : (1,) ndarray of int
         Dimension of the state.
+    points : Points
     """
 
     mean: Array
     covariance: Array
     size: np.ndarray
+    points: Points
 
 
 class Register(NamedTuple):

@@ -20,9 +20,10 @@ from ekfslam.estimates import (
 )
 from ekfslam.filters.arrays import Journal, Log
 from ekfslam.filters.ekf_slam import DONE, INDEFINITE
-from ekfslam.filters.engine import Engine, check_views, views_of_landmarks
+from ekfslam.filters.engine import Engine, check_variant, check_views, views_of_landmarks
 from ekfslam.filters.options import Options
-from ekfslam.geometry import compose, compose_jacobians, congruence, heading_block
+from ekfslam.filters.variants import EKF
+from ekfslam.geometry import Array, compose, compose_jacobians, congruence, heading_block
 from ekfslam.registry import Progress
 
 EVENTS = 4  # journal entries per observation at most, on average: seen, created, converted, waited
@@ -68,8 +69,11 @@ class Ekf(Options):
         Raises
         ------
         UnsupportedError
-            For hypotheses of a bank, which share measurements and are no linear model.
+            For hypotheses of a bank, which share measurements and are no linear model; for other
+            filters of the family, which linearise elsewhere or in other coordinates.
         """
+        if self.variant != EKF:
+            raise UnsupportedError(f"the Jacobians of {self.name} are not those of its models")
         if self.ranges == "bank":
             raise UnsupportedError("a bank of hypotheses is not one linear model")
         journal = Journal.of(EVENTS * len(dataset.observations) + 1)
@@ -98,6 +102,10 @@ class Ekf(Options):
             return ids[ids >= 0]
         return np.arange(len(dataset.observations))
 
+    def _truth(self, dataset: Dataset) -> tuple[Array, Array] | None:
+        """What a filter may know of the truth: nothing, but for the ideal one."""
+        return None
+
     def _association(self, dataset: Dataset) -> str:
         """The method: as stated, or what the dataset allows."""
         return self.association or ("known" if dataset.association_known else "nearest")
@@ -118,6 +126,8 @@ class Ekf(Options):
     def _run(self, dataset: Dataset, progress: Progress | None, journal: Journal) -> Estimate:
         association, kinds = self._association(dataset), views_of_landmarks(dataset.sightings)
         check_views(self, association, dataset.sightings)
+        check_variant(self, len(dataset.robots))
+        truth = self._truth(dataset)
         steps = dataset.poses
         noted = len(journal.event) > 0
         self._prepare(dataset, association, kinds, journal)
@@ -131,7 +141,7 @@ class Ekf(Options):
         sightings = sightings._replace(landmark=np.maximum(codes, -1).astype(np.int64))
         priors = [robot.prior for robot in dataset.robots]
         landmarks = len(ids) if association == "known" else 0
-        engine = Engine(priors, self, association, kinds, landmarks, noted)
+        engine = Engine(priors, self, association, kinds, landmarks, noted, truth)
         log = Log.of(len(priors), steps, len(codes), int(Decision.REJECTED))
         k, why = 0, DONE
         chunk = steps if progress is None else max(1, steps // 100)

@@ -1,9 +1,10 @@
 """EKF-SLAM: predict, associate, correct, extend.
 
-The standard filter with Jacobians at the estimate (Smith and Cheeseman 1987; Solà, section 2;
-Ciatto, Algorithm 1; Principles of Robot Autonomy, 17.1), as one compiled loop. `run` is the
-algorithm for identities that are known and sightings that determine a point; the same parts with
-everything that needs more thought are put together by `ekfslam.filters.engine`.
+The filter of Smith and Cheeseman 1987 (Solà, section 2; Ciatto, Algorithm 1; Principles of Robot
+Autonomy, 17.1) and its family, as one compiled loop; where they linearise, and what they take for
+an error, is asked of `ekfslam.filters.variants`. `run` is the algorithm for identities that are
+known and sightings that determine a point; the same parts with everything that needs more thought
+are put together by `ekfslam.filters.engine`.
 """
 
 from __future__ import annotations
@@ -13,10 +14,20 @@ import numpy as np
 from ekfslam.compiled import compiled, inlined, now
 from ekfslam.estimates import Decision
 from ekfslam.filters.initiation import extend
-from ekfslam.filters.kernels import correct, move, project, times_transposed
-from ekfslam.filters.measure import BANKED, POINT, POSE, foresee, moved, rows_of
+from ekfslam.filters.kernels import downdate, project, solve, times_transposed
+from ekfslam.filters.measure import BANKED, POINT, POSE, moved, rows_of
 from ekfslam.filters.options import KNOWN
 from ekfslam.filters.recognition import by_identity
+from ekfslam.filters.variants import (
+    ITERATED,
+    OC,
+    foresee_at,
+    pose_of,
+    propagate,
+    retract,
+    settle_frame,
+)
+from ekfslam.filters.variants.iterated import MOST, STILL, foresee_again, iterate
 
 ACCEPTED, REJECTED = int(Decision.ACCEPTED), int(Decision.REJECTED)
 DONE, GROW, INDEFINITE, LOOK = range(4)
@@ -35,7 +46,7 @@ def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, l
         first, last = offsets[k], offsets[k + 1]
         if not has_room(slam, register, last - first, settings):
             return k, GROW
-        predict(slam, deltas[:, k], Qs[:, k])
+        predict(slam, deltas[:, k], Qs[:, k], k, register, sightings, first, last, settings)
         log.nis[k] = 0.0
         if last > first and not settings.plain:
             return k, LOOK
@@ -58,7 +69,7 @@ def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, l
 def has_room(slam, register, rows, settings):  # type: ignore[no-untyped-def]
     """Whether the map and the register have room for a step with so many observations."""
     # A step adds at most what its observations add, and a past pose of each robot.
-    needed = slam.size[0] + settings.largest * rows + POSE * settings.robots
+    needed = slam.size[0] + settings.largest * rows + POSE * settings.poses
     if min(needed, settings.most) > slam.mean.size:
         return False
     return settings.method == KNOWN or register.used[0] + rows <= register.offsets.size
@@ -67,23 +78,35 @@ def has_room(slam, register, rows, settings):  # type: ignore[no-untyped-def]
 @inlined
 def write_step(slam, k, settings, log):  # type: ignore[no-untyped-def]
     """Note poses and covariances of a step."""
+    settle_frame(settings.variant, slam)
+    mean, P, first = slam.mean, slam.covariance, slam.points.first
     for robot in range(settings.robots):
-        at = POSE * robot
-        log.poses[robot, k] = slam.mean[at : at + POSE]
-        for i in range(POSE):
-            for j in range(i, POSE):
-                value = slam.covariance[at + i, at + j]
-                log.covariances[robot, k, i, j] = log.covariances[robot, k, j, i] = value
+        at, pose, covariance = POSE * robot, log.poses[robot, k], log.covariances[robot, k]
+        pose_of(settings.variant, mean, P, first, at, pose, covariance)
     if log.dof[k] == 0:
         log.nis[k] = np.nan
 
 
 @inlined
-def predict(slam, deltas, Qs):  # type: ignore[no-untyped-def]
-    """The robots move (Solà, 2.3.2; Ciatto, 3.3)."""
+def predict(slam, deltas, Qs, k, register, sightings, first, last, settings):  # type: ignore[no-untyped-def]
+    """The robots move (Solà, 2.3.2; Ciatto, 3.3) before they see the rows first to last."""
+    seen = np.empty(0, np.int64)
+    if settings.variant == OC:
+        seen = mapped(register, sightings, first, last, settings)
     for robot in range(deltas.shape[0]):
-        at = POSE * robot
-        move(slam.mean, slam.covariance, slam.size[0], at, deltas[robot], Qs[robot])
+        propagate(settings.variant, slam, POSE * robot, deltas[robot], Qs[robot], k, seen)
+
+
+@compiled
+def mapped(register, sightings, first, last, settings):  # type: ignore[no-untyped-def]
+    """Offsets of the mapped landmarks that are seen next; of all, if it is not known which."""
+    known, used = settings.method == KNOWN, register.used[0]
+    next_ = np.full(used, not known)
+    for i in range(first, last):
+        if known and 0 <= sightings.landmark[i] < used:
+            next_[sightings.landmark[i]] = True
+    offsets = register.offsets[:used]
+    return offsets[next_ & (offsets >= 0)]
 
 
 @inlined
@@ -109,29 +132,89 @@ def update(slam, register, sightings, first, last, settings, log):  # type: igno
             accepted += 1
     total, dof = 0.0, 0
     if accepted > 0:
-        joint, robots = settings.joint, settings.robots
         total, dof = correct_mapped(
-            slam, register, sightings, first, last, accepted, joint, robots, log
+            slam, register, sightings, first, last, accepted, settings.joint, settings, log
         )
+    settle_frame(settings.variant, slam)
     return total, dof
 
 
 @inlined
-def correct_mapped(slam, register, sightings, first, last, accepted, joint, robots, log):  # type: ignore[no-untyped-def]
+def correct_mapped(slam, register, sightings, first, last, accepted, joint, settings, log):  # type: ignore[no-untyped-def]
     """Correct with the accepted observations of a look, but not those of a bank of hypotheses."""
+    n, kind, variant = slam.size[0], sightings.kind[first], settings.variant
+    mean, P, points = slam.mean, slam.covariance, slam.points.at
+    d, together = rows_of(kind), accepted if joint else 1
+    rows, step = np.empty((d * together, n)), np.empty(n)
+    S, z = np.empty((d * together, d * together)), np.empty(d * together)
+    iterations = MOST if variant == ITERATED else 1
+    total, dof, start = 0.0, 0, first
+    while start < last:
+        stop = last if joint else start + 1
+        for iteration in range(iterations):
+            m = stack(
+                slam,
+                register,
+                sightings,
+                start,
+                stop,
+                together,
+                iteration > 0,
+                rows,
+                S,
+                z,
+                settings,
+                log,
+            )
+            if m == 0:
+                break
+            nis = solve(rows, S, z, m, n, step)
+            if np.isnan(nis):
+                return nis, dof
+            if iteration == 0:
+                total += nis
+                dof += m
+            if variant == ITERATED:
+                if iteration == 0:
+                    points[:n] = mean[:n]
+                if iterate(mean, points, step, n) < STILL:
+                    break
+        if m > 0:
+            retract(variant, mean, step, n, settings.poses)
+            downdate(P, rows, m, n)
+        start = stop
+    return total, dof
+
+
+@compiled
+def stack(slam, register, sightings, first, last, together, again, rows, S, z, settings, log):  # type: ignore[no-untyped-def]
+    """``H P``, ``S = H P H' + R`` (its lower triangle) and innovations of accepted observations.
+
+    Parameters
+    ----------
+    first, last : int
+        Rows of a look.
+    together : int
+        How many of them are accepted at most.
+    again : bool
+        Whether this is not the first iteration of an iterated correction.
+
+    Returns
+    -------
+    int
+        How many numbers were observed.
+    """
     # Taken from their tuples once: in the loop every access would count references.
-    mean, P, n = slam.mean, slam.covariance, slam.size[0]
+    mean, P, n, points = slam.mean, slam.covariance, slam.size[0], slam.points.at
     offsets, own_sizes = register.offsets, register.sizes
     used, rejections = register.sightings, register.rejections
     values, R, target = sightings.values, sightings.covariance, sightings.target
     decision, landmark, innovation, spread = log.decision, log.landmark, log.innovation, log.S
     kind, mount, pose = sightings.kind[first], sightings.mount[first], POSE * sightings.robot[first]
-    d, together = rows_of(kind), accepted if joint else 1
-    rows = np.empty((d * together, n))
-    S, z = np.empty((d * together, d * together)), np.empty(d * together)
-    H, point = np.empty((together, 2, 7)), np.empty(4)
+    d, variant = rows_of(kind), settings.variant
+    H, point, nu = np.empty((together, 2, 7)), np.empty(4), np.empty(2)
     places, sizes = np.empty(together, np.int64), np.empty(together, np.int64)
-    total, dof, m, left = 0.0, 0, 0, accepted
+    m = 0
     for i in range(first, last):
         if decision[i] != ACCEPTED:
             continue
@@ -142,34 +225,38 @@ def correct_mapped(slam, register, sightings, first, last, accepted, joint, robo
             at, size = POSE * target[i], POSE
         if size == BANKED:
             continue
-        left -= 1
-        here, there, nu, h = mean[pose : pose + POSE], mean[at : at + size], innovation[i], H[m]
-        if foresee(kind, size, mount, here, there, values[i], point, h, nu):
-            if size > POINT:
-                for a in range(d):
-                    nu[a] = moved(nu, h, there, point, size, a)
-            project(P, n, pose, at, size, h, d, rows[d * m : d * m + d])
-            places[m], sizes[m] = at, size
-            for j in range(m + 1):  # S = H P H' + R, lower triangle of blocks
-                other, place, width = H[j], places[j], sizes[j]
-                for a in range(d):
-                    row = rows[d * m + a]
-                    for b in range(d):
-                        entry = times_transposed(row, pose, place, width, other, b)
-                        S[d * m + a, d * j + b] = entry
+        h = H[m]
+        if again:
+            foresee_again(kind, size, mount, mean, points, pose, at, values[i], h, nu)
+        elif not foresee_at(
+            variant, mean, points, pose, at, size, kind, mount, values[i], point, h, nu
+        ):
+            decision[i] = REJECTED  # an inverse depth that has no distance to compare with
+            continue
+        if size > POINT:
+            there = mean[at : at + size]
             for a in range(d):
-                z[d * m + a] = nu[a]
+                nu[a] = moved(nu, h, there, point, size, a)
+        project(P, n, pose, at, size, h, d, rows[d * m : d * m + d])
+        places[m], sizes[m] = at, size
+        for j in range(m + 1):
+            other, place, width = H[j], places[j], sizes[j]
+            for a in range(d):
+                row = rows[d * m + a]
                 for b in range(d):
-                    S[d * m + a, d * m + b] += R[i, a, b]
+                    entry = times_transposed(row, pose, place, width, other, b)
+                    S[d * m + a, d * j + b] = entry
+        for a in range(d):
+            z[d * m + a] = nu[a]
+            for b in range(d):
+                S[d * m + a, d * m + b] += R[i, a, b]
+        if not again:
+            for a in range(d):
+                innovation[i, a] = nu[a]
+                for b in range(d):
                     spread[i, a, b] = S[d * m + a, d * m + b]
             if index >= 0:
                 used[index] += 1
                 rejections[index] = 0
-            m += 1
-        else:  # an inverse depth that has no distance to compare with
-            decision[i] = REJECTED
-        if m == together or (left == 0 and m > 0):
-            total += correct(mean, P, n, rows, S, z, d * m, robots)
-            dof += d * m
-            m = 0
-    return total, dof
+        m += 1
+    return d * m

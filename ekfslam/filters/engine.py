@@ -25,6 +25,7 @@ from ekfslam.filters.ekf_slam import (
     update,
     write_step,
 )
+from ekfslam.filters.exchange import exchanged, starting
 from ekfslam.filters.gaussian_map import GaussianMap
 from ekfslam.filters.initiation import extend, note_corrections, note_points
 from ekfslam.filters.measure import BANKED, INVERSE_DEPTH, POINT, POSE
@@ -39,6 +40,15 @@ from ekfslam.filters.recognition import (
     settle,
 )
 from ekfslam.filters.upkeep import upkeep
+from ekfslam.filters.variants import (
+    ALONE,
+    EKF,
+    INVARIANT,
+    NAMES,
+    ROBOCENTRIC,
+    pose_of,
+    settle_frame,
+)
 from ekfslam.filters.waiting import MOST
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import BEARING, RANGE
@@ -65,6 +75,8 @@ class Engine:
         How many there can be at most, 0 for not known.
     noted : bool
         Whether a journal is kept.
+    truth : (R, K + 1, 3) and (M, 2) ndarray, optional
+        For the ideal filter: true poses, and true place of what each observation shows.
 
     Raises
     ------
@@ -80,12 +92,16 @@ class Engine:
         kinds: set[int],
         landmarks: int = 0,
         noted: bool = False,
+        truth: tuple[Array, Array] | None = None,
     ) -> None:
         settings = options.settings(association, kinds, landmarks, len(priors))
         settings = settings._replace(plain=settings.plain and not noted)
         self.settings, self.association = settings, association
         room = landmarks or LANDMARKS
-        self.slam = GaussianMap(priors, room * settings.largest // POINT)
+        self.slam = GaussianMap(
+            starting(settings.variant, priors), room * settings.largest // POINT
+        )
+        self._start(priors, truth)
         self.register = Register.of(room)
         ranges = RANGE in kinds
         delayed = ranges and settings.ranges == DELAYED
@@ -97,6 +113,18 @@ class Engine:
         self.searches_cut = 0  # for joint compatibility, at their limit
         if options.initiation == "allocated":
             self._allocate(landmarks, options.variance)
+
+    def _start(self, priors: Sequence[Prior], truth: tuple[Array, Array] | None) -> None:
+        """Points of linearisation of the first poses."""
+        arrays = self.slam.arrays
+        poses = np.concatenate([prior.mean for prior in priors])
+        if truth is not None:
+            points = arrays.points._replace(poses=truth[0].copy(), places=truth[1].copy())
+            self.slam.arrays = arrays = arrays._replace(points=points)
+            poses = truth[0][:, 0].reshape(-1)
+        arrays.points.at[: len(poses)] = poses
+        if self.settings.variant == ROBOCENTRIC:
+            arrays.points.first[: len(poses)] = poses
 
     def _allocate(self, landmarks: int, variance: float) -> None:
         """All landmarks stand in the state from the start, at 0 with a variance for infinity."""
@@ -126,7 +154,7 @@ class Engine:
             Identities that there are, of landmarks in the map or not.
         """
         settings = self.settings
-        size = self.slam.size + settings.largest * rows + POSE * settings.robots
+        size = self.slam.size + settings.largest * rows + POSE * settings.poses
         self.slam.reserve(min(size, settings.most))
         if (indices := max(int(self.register.used[0]) + rows, known)) > len(self.register.offsets):
             self.register = self.register.grown(2 * indices)
@@ -203,10 +231,11 @@ class Engine:
                 break
         return start, INDEFINITE if why == INDEFINITE else DONE
 
-    def predict(self, step: int, deltas: Array, Qs: Array) -> None:
-        """Move the robots, (R, 3) and (R, 3, 3)."""
+    def predict(self, step: int, deltas: Array, Qs: Array, unseen: Sightings) -> None:
+        """Move the robots, (R, 3) and (R, 3, 3); what they will see is not known (no rows)."""
         self._clock[0] = step
-        predict(self.slam.arrays, deltas, Qs)
+        slam, register = self.slam.arrays, self.register
+        predict(slam, deltas, Qs, step, register, unseen, 0, 0, self.settings)
 
     def observe(self, sightings: Sightings, log: Log) -> bool:
         """All observations of one step; whether innovation covariances were positive definite."""
@@ -294,15 +323,19 @@ class Engine:
         ids : (n,) ndarray of int
             Identity of each register index.
         """
-        register, count = self.register, len(ids)
+        register, count, variant = self.register, len(ids), self.settings.variant
         mapped = (register.offsets[:count] >= 0) & (register.sightings[:count] > 0)
         points = np.flatnonzero(mapped & (register.sizes[:count] == POINT))
         directions = np.flatnonzero(mapped & (register.sizes[:count] == INVERSE_DEPTH))
         where = register.offsets[points][:, None] + np.arange(POINT)
         beyond = register.offsets[directions][:, None] + np.arange(INVERSE_DEPTH)
         poses = POSE * self.settings.robots
+        shorter = POSE * (self.settings.poses - self.settings.robots)
+        where, beyond = where - shorter, beyond - shorter
         order = np.concatenate([np.arange(poses), where.reshape(-1), beyond.reshape(-1)])
-        mean, joint = self.slam.mean, self.slam.covariance[np.ix_(order, order)]
+        first = self.slam.arrays.points.first
+        mean, whole = exchanged(variant, self.slam.mean, self.slam.covariance, first)
+        joint = whole[np.ix_(order, order)]
         end = poses + where.size
         blocks = joint[poses:end, poses:end].reshape(len(points), POINT, len(points), POINT)
         return LandmarkEstimates(
@@ -313,6 +346,18 @@ class Engine:
             ids[directions] if len(directions) else None,
             mean[beyond] if len(directions) else None,
         ), joint
+
+    @property
+    def poses(self) -> tuple[Array, Array]:
+        """Poses of the robots (R, 3), and their joint covariance (3 R, 3 R), additive."""
+        slam, variant, robots = self.slam, self.settings.variant, self.settings.robots
+        if variant not in (INVARIANT, ROBOCENTRIC):
+            return slam.mean[: POSE * robots].reshape(-1, POSE).copy(), slam.block(0, POSE * robots)
+        settle_frame(variant, slam.arrays)  # changes nothing but the frame
+        mean, P, _, points = slam.arrays
+        pose, covariance = np.empty(POSE), np.empty((POSE, POSE))
+        pose_of(variant, mean, P, points.first, 0, pose, covariance)
+        return pose[None], covariance
 
     @property
     def undetermined(self) -> int:
@@ -345,6 +390,8 @@ def check_views(options: Options, association: str, sightings: Sightings) -> Non
         Says what to do.
     """
     kinds = views_of_landmarks(sightings)
+    if options.variant != EKF and kinds & {BEARING, RANGE}:
+        raise UnsupportedError(f"{NAMES[options.variant]} needs sensors that determine a point")
     bearings = (sightings.kind == BEARING) & (sightings.target < 0)
     nearest = sightings.limits[bearings, 0].min(initial=np.inf)
     partial = kinds & {BEARING, RANGE}
@@ -360,3 +407,25 @@ def check_views(options: Options, association: str, sightings: Sightings) -> Non
         raise UnsupportedError(
             "the prior on the inverse depth of a bearing needs the sensor's min_range: state it"
         )
+
+
+def check_variant(options: Options, robots: int) -> None:
+    """Refuse options that a filter of the family cannot have, and teams it cannot take.
+
+    Parameters
+    ----------
+    options : Options
+    robots : int
+
+    Raises
+    ------
+    UnsupportedError
+        Says what it would take.
+    """
+    name = NAMES[options.variant]
+    if options.variant in ALONE and robots > 1:
+        raise UnsupportedError(f"{name} is for a single robot, there are {robots}")
+    if options.variant != EKF and options.initiation != "mapped":
+        raise UnsupportedError(f"{name} needs initiation 'mapped'")
+    if options.variant == ROBOCENTRIC and options.confirm > 1:
+        raise UnsupportedError(f"{name} has no fixed frame for tentative landmarks: confirm=1")

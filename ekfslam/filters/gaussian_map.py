@@ -9,7 +9,7 @@ import numpy as np
 from ekfslam.dataset import Prior
 from ekfslam.errors import EkfslamError, InputError
 from ekfslam.filters import kernels
-from ekfslam.filters.arrays import MapArrays
+from ekfslam.filters.arrays import MapArrays, Points
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.geometry import Array
 
@@ -36,6 +36,7 @@ class GaussianMap:
             np.zeros(capacity),
             np.zeros((capacity, capacity)),
             np.array([POSE * self.robots], dtype=np.int64),
+            Points.of(capacity),
         )
         for robot, prior in enumerate(priors):
             at = slice(POSE * robot, POSE * robot + POSE)
@@ -72,7 +73,11 @@ class GaussianMap:
         mean, covariance = np.zeros(capacity), np.zeros((capacity, capacity))
         mean[:n] = self.arrays.mean[:n]
         covariance[:n, :n] = self.arrays.covariance[:n, :n]
-        self.arrays = MapArrays(mean, covariance, self.arrays.size)
+        points, room = self.arrays.points, np.zeros(capacity - len(self.arrays.mean))
+        points = points._replace(
+            at=np.concatenate([points.at, room]), first=np.concatenate([points.first, room])
+        )
+        self.arrays = MapArrays(mean, covariance, self.arrays.size, points)
 
     def move(self, increment: Array, covariance: Array, robot: int = 0) -> None:
         """Robot motion.
@@ -85,7 +90,7 @@ class GaussianMap:
             Of the increment, in that frame.
         robot : int
         """
-        mean, P, _ = self.arrays
+        mean, P, *_ = self.arrays
         kernels.move(mean, P, self.size, POSE * robot, increment, covariance)
 
     def correct(
@@ -114,7 +119,7 @@ class GaussianMap:
         EkfslamError
             If the innovation covariance is not positive definite; the map is untouched.
         """
-        mean, P, _ = self.arrays
+        mean, P, *_ = self.arrays
         n, pose = self.size, POSE * robot
         m, d, size = H.shape[0], H.shape[1], H.shape[2] - POSE
         rows = np.empty((d * m, len(mean)))
@@ -174,7 +179,7 @@ class GaussianMap:
         if wrt_prior is not None and S is not None:
             noise = noise + wrt_prior @ S @ wrt_prior.T
         self.reserve(n + size)
-        mean, P, total = self.arrays
+        mean, P, total, _ = self.arrays
         poses = np.array([POSE * robot])
         G = np.ascontiguousarray(wrt_pose, dtype=float)[None]
         kernels.append(mean, P, n, poses, np.asarray(landmark, dtype=float), size, G, noise)
@@ -193,7 +198,7 @@ class GaussianMap:
         jacobian : (m, n) ndarray
             Their derivative with respect to the old.
         """
-        mean, P, total = self.arrays
+        mean, P, total, _ = self.arrays
         new, old = jacobian.shape
         self._check(offset, old)
         kernels.replace(mean, P, self.size, offset, old, landmark, new, jacobian)
@@ -210,7 +215,7 @@ class GaussianMap:
             Its coordinates.
         """
         self._check(offset, size)
-        mean, P, total = self.arrays
+        mean, P, total, _ = self.arrays
         kernels.remove(mean, P, self.size, offset, size)
         total[0] -= size
 

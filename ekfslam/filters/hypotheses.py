@@ -78,7 +78,7 @@ def update_bank(state, sightings, i, settings, log):  # type: ignore[no-untyped-
         for a in range(d):
             for b in range(d):
                 S[a, b] += sightings.covariance[i, a, b] / weights[h]
-        correct(slam.mean, slam.covariance, slam.size[0], rows, S, z, d, settings.robots)
+        correct(slam.mean, slam.covariance, slam.size[0], rows, S, z, d, settings.poses)
     decided(state, index)
 
 

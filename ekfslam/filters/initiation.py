@@ -28,6 +28,7 @@ from ekfslam.filters.measure import (
     rows_of,
 )
 from ekfslam.filters.options import ALLOCATED, MAPPED, NAIVE
+from ekfslam.filters.variants import EKF, begin
 from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING
 
 ACCEPTED, NEW = int(Decision.ACCEPTED), int(Decision.NEW)
@@ -94,8 +95,10 @@ def map_point(slam, sightings, i, settings, target, G, noise):  # type: ignore[n
         value[1], R[1, 1] = 0.0, math.pi**2 / 3.0  # of a uniform bearing
         kind = RANGE_BEARING
     at = POSE * sightings.robot[i]
-    here = slam.mean[at : at + POSE]
-    locate(kind, sightings.mount[i], here, value, R, target, G[0], noise)
+    here, mount = slam.mean[at : at + POSE], sightings.mount[i]
+    locate(kind, mount, here, value, R, target, G[0], noise)
+    if settings.variant != EKF:
+        begin(settings.variant, slam, kind, mount, at, value, R, i, target, G[0], noise)
 
 
 @compiled
@@ -132,7 +135,7 @@ def start_uninformed(state, sightings, i, settings, log, journal):  # type: igno
     for a in range(d):
         for b in range(d):
             S[a, b] = times_transposed(rows[a], POSE * robot, at, POINT, H, b) + R[a, b]
-    correct(slam.mean, slam.covariance, n, rows, S, z, d, settings.robots)
+    correct(slam.mean, slam.covariance, n, rows, S, z, d, settings.poses)
 
 
 @compiled

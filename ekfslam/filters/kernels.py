@@ -76,29 +76,43 @@ def add_rows(P, n, at, size, weights, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def move(mean, P, n, at, delta, Q):  # type: ignore[no-untyped-def]
-    """Robot motion (Solà, Eqs. 14 to 17; Ciatto, Eqs. 3.1 to 3.6), O(n).
+def advance(mean, at, delta):  # type: ignore[no-untyped-def]
+    """The mean of a robot's motion: ``pose * delta`` (Solà, Eq. 14; Ciatto, Eq. 3.1).
 
     Parameters
     ----------
     mean : (capacity,) ndarray
+    at : int
+        First coordinate of the robot's pose.
+    delta : (3,) ndarray
+        Body increment.
+    """
+    c, s = math.cos(mean[at + 2]), math.sin(mean[at + 2])
+    mean[at] += c * delta[0] - s * delta[1]
+    mean[at + 1] += s * delta[0] + c * delta[1]
+    mean[at + 2] = wrap(mean[at + 2] + delta[2])
+
+
+@compiled
+def disperse(P, n, at, dx, dy, heading, Q):  # type: ignore[no-untyped-def]
+    """The covariance of a robot's motion (Solà, Eqs. 15 to 17; Ciatto, Eqs. 3.2 to 3.6), O(n).
+
+    Parameters
+    ----------
     P : (capacity, capacity) ndarray
     n : int
         Dimension of the state.
     at : int
         First coordinate of the robot's pose.
-    delta : (3,) ndarray
-        Body increment.
+    dx, dy : float
+        Way in the world that the heading swings: F = [1 0 -dy; 0 1 dx; 0 0 1].
+    heading : float
+        By which the noise is turned into the world.
     Q : (3, 3) ndarray
-        Its covariance, in the frame of the pose before.
+        Covariance of the increment, in the frame of the pose before.
     """
     x, y, t = at, at + 1, at + 2
-    c, s = math.cos(mean[t]), math.sin(mean[t])
-    dx, dy = c * delta[0] - s * delta[1], s * delta[0] + c * delta[1]
-    mean[x] += dx
-    mean[y] += dy
-    mean[t] = wrap(mean[t] + delta[2])
-    # F = [1 0 -dy; 0 1 dx; 0 0 1] on the pose rows, cross-covariances first.
+    # F on the pose rows, cross-covariances first.
     for j in range(at):
         P[j, x] -= dy * P[j, t]
         P[j, y] += dx * P[j, t]
@@ -112,12 +126,21 @@ def move(mean, P, n, at, delta, Q):  # type: ignore[no-untyped-def]
     P[x, t] -= dy * P[t, t]
     P[y, t] += dx * P[t, t]
     # Plus the noise, turned into the world.
+    c, s = math.cos(heading), math.sin(heading)
     P[x, x] += c * c * Q[0, 0] - 2.0 * c * s * Q[0, 1] + s * s * Q[1, 1]
     P[x, y] += c * s * (Q[0, 0] - Q[1, 1]) + (c * c - s * s) * Q[0, 1]
     P[y, y] += s * s * Q[0, 0] + 2.0 * c * s * Q[0, 1] + c * c * Q[1, 1]
     P[x, t] += c * Q[0, 2] - s * Q[1, 2]
     P[y, t] += s * Q[0, 2] + c * Q[1, 2]
     P[t, t] += Q[2, 2]
+
+
+@compiled
+def move(mean, P, n, at, delta, Q):  # type: ignore[no-untyped-def]
+    """Robot motion with its Jacobians at the estimate, O(n); see `advance` and `disperse`."""
+    x, y, heading = mean[at], mean[at + 1], mean[at + 2]
+    advance(mean, at, delta)
+    disperse(P, n, at, mean[at] - x, mean[at + 1] - y, heading, Q)
 
 
 # Map correction ---------------------------------------------------------------------------------
@@ -232,35 +255,33 @@ def downdate(P, W, m, n):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def correct(mean, P, n, rows, S, innovation, m, robots):  # type: ignore[no-untyped-def]
-    """Map correction (Solà, Eqs. 26 to 30; Ciatto, Eqs. 3.12 to 3.15), all rows at once.
+def solve(rows, S, innovation, m, n, step):  # type: ignore[no-untyped-def]
+    """The step ``K innovation`` of a correction, and what the covariance loses by it.
 
     With S = L L', W = L^-1 H P and w = L^-1 innovation: K S K' = W' W and K innovation = W' w.
 
     Parameters
     ----------
-    mean, P, n
-        The map.
-    rows : (>= m, capacity) ndarray
-        H P; destroyed.
+    rows : (>= m, >= n) ndarray
+        H P; becomes W.
     S : (>= m, >= m) ndarray
-        Innovation covariance, lower triangle; destroyed.
+        Innovation covariance, lower triangle; becomes L.
     innovation : (>= m,) ndarray
-        Destroyed.
-    m : int
-        Rows.
-    robots : int
-        Poses at the start of the state, whose headings are wrapped.
+        Becomes w.
+    m, n : int
+        Rows, and dimension of the state.
+    step : (>= n,) ndarray
+        Written.
 
     Returns
     -------
     float
-        Squared Mahalanobis norm of the innovation (NIS); NaN if S is not positive definite, and
-        then the map is untouched.
+        Squared Mahalanobis norm of the innovation (NIS); NaN if S is not positive definite.
     """
     if not cholesky(S, m):
         return np.nan
     whiten(S, rows, m, n)
+    step[:n] = 0.0
     nis = 0.0
     for i in range(m):
         total = innovation[i]
@@ -268,11 +289,44 @@ def correct(mean, P, n, rows, S, innovation, m, robots):  # type: ignore[no-unty
             total -= S[i, k] * innovation[k]
         innovation[i] = total / S[i, i]
         nis += innovation[i] * innovation[i]
-        row, factor = rows[i, :n], innovation[i]
+        row, factor, out = rows[i, :n], innovation[i], step[:n]
         for j in range(row.size):
-            mean[j] += factor * row[j]
-    for robot in range(robots):
-        mean[3 * robot + 2] = wrap(mean[3 * robot + 2])
+            out[j] += factor * row[j]
+    return nis
+
+
+@compiled
+def shift(mean, step, n, poses):  # type: ignore[no-untyped-def]
+    """``mean += step``, the headings of the poses at the start of the state wrapped."""
+    for j in range(n):
+        mean[j] += step[j]
+    for pose in range(poses):
+        mean[3 * pose + 2] = wrap(mean[3 * pose + 2])
+
+
+@compiled
+def correct(mean, P, n, rows, S, innovation, m, poses):  # type: ignore[no-untyped-def]
+    """Map correction (Solà, Eqs. 26 to 30; Ciatto, Eqs. 3.12 to 3.15), all rows at once.
+
+    Parameters
+    ----------
+    mean, P, n
+        The map.
+    rows, S, innovation, m
+        As for `solve`.
+    poses : int
+        At the start of the state, whose headings are wrapped.
+
+    Returns
+    -------
+    float
+        As `solve`; if NaN, the map is untouched.
+    """
+    step = np.empty(n)
+    nis = solve(rows, S, innovation, m, n, step)
+    if np.isnan(nis):
+        return nis
+    shift(mean, step, n, poses)
     downdate(P, rows, m, n)
     return nis
 

@@ -9,15 +9,17 @@ import numpy as np
 
 from ekfslam.checks import check_finite, checked_array, checked_covariance
 from ekfslam.dataset import Prior, Sightings
-from ekfslam.errors import InputError
+from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.estimates import Decision, Innovations, LandmarkEstimates
 from ekfslam.filters.arrays import Log
-from ekfslam.filters.engine import Engine, check_views
-from ekfslam.filters.measure import POSE
-from ekfslam.filters.options import Options
+from ekfslam.filters.ekf import Ekf
+from ekfslam.filters.engine import Engine, check_variant, check_views
+from ekfslam.filters.family import EkfFej, EkfRi, EkfRobocentric, Iekf
 from ekfslam.filters.upkeep import delete
 from ekfslam.geometry import Array
-from ekfslam.models.sensors import VIEWS
+from ekfslam.models.sensors import VIEWS, Sensor
+
+ONLINE = {each.name: each for each in (Ekf, Iekf, EkfFej, EkfRi, EkfRobocentric)}
 
 
 class EkfSlam:
@@ -29,6 +31,9 @@ class EkfSlam:
         Of the first pose, of each robot if there are several; the default is exactly the origin.
     association : str
         "known", or a method for observations that come without identities.
+    estimator : str
+        Another filter of the family, such as "ekf-ri". Not "ekf-ideal", which needs the truth, nor
+        "ekf-oc", which must know at a motion what will be seen after it.
     **options
         As for `ekfslam.filters.options.Options`.
 
@@ -46,16 +51,21 @@ class EkfSlam:
         self,
         prior: Prior | Sequence[Prior] | None = None,
         association: str = "known",
+        estimator: str = "ekf",
         **options: Any,
     ) -> None:
         priors = [prior or Prior()] if prior is None or isinstance(prior, Prior) else list(prior)
         if not priors or not all(isinstance(each, Prior) for each in priors):
             raise InputError(f"prior must be a Prior(mean, covariance), got {prior!r}")
+        if estimator not in ONLINE:
+            raise UnknownNameError("filter that runs step by step", estimator, ONLINE)
         try:
-            self._options = Options(association or "known", **options)
+            self._options = ONLINE[estimator](association or "known", **options)
         except TypeError as error:
             raise InputError(f"EkfSlam: {error}") from None
-        kinds = {view.code for view in VIEWS.values()}
+        check_variant(self._options, len(priors))
+        kinds = {view.code for view in VIEWS.values() if view.size == 2 or estimator == "ekf"}
+        self._unseen = Sightings.of(Sensor("xy", np.eye(2)), np.zeros((0, 2)))
         self._engine = Engine(priors, self._options, self._options.association or "known", kinds)
         self._ids: dict[int, int] = {}
         self._step = -1
@@ -86,7 +96,7 @@ class EkfSlam:
             for each in given.reshape(-1, 3, 3)
         ]
         self._step += 1
-        self._engine.predict(self._step, delta.reshape(-1, 3).copy(), np.array(Q))
+        self._engine.predict(self._step, delta.reshape(-1, 3).copy(), np.array(Q), self._unseen)
 
     def observe(self, observations: Sightings) -> Innovations:
         """Associate, correct and extend with the observations of one step.
@@ -151,14 +161,13 @@ class EkfSlam:
     @property
     def pose(self) -> Array:
         """Estimated pose (3,), or poses (R, 3) of several robots."""
-        robots = self._engine.settings.robots
-        poses = self._engine.slam.mean[: POSE * robots].reshape(robots, POSE).copy()
-        return poses[0] if robots == 1 else poses
+        poses = self._engine.poses[0]
+        return poses[0] if len(poses) == 1 else poses
 
     @property
     def pose_covariance(self) -> Array:
         """Its covariance, additive: (3, 3), or jointly of all robots (3 R, 3 R)."""
-        return self._engine.slam.block(0, POSE * self._engine.settings.robots)
+        return self._engine.poses[1]
 
     @property
     def landmarks(self) -> LandmarkEstimates:

@@ -11,6 +11,7 @@ from ekfslam.association.gates import Gates, chi2_gate, quantiles
 from ekfslam.checks import checked_number
 from ekfslam.errors import InputError
 from ekfslam.filters.measure import INVERSE_DEPTH, POINT
+from ekfslam.filters.variants import EKF, ROBOCENTRIC
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import BEARING, RANGE
 
@@ -78,6 +79,8 @@ class Settings(NamedTuple):
     forget: int
     corrupt: int
     robots: int
+    poses: int
+    variant: int
     largest: int
     most: int
 
@@ -183,6 +186,7 @@ class Options:
     prune: float = 0.001
     forget: int = 0
     corrupt: int = 0
+    variant = EKF  # of the family, no option: every filter of `ekfslam.filters.family` has its own
 
     def __post_init__(self) -> None:
         choices = (
@@ -285,6 +289,9 @@ class Options:
             forget=self.forget,
             corrupt=self.corrupt,
             robots=robots,
+            # The robocentric filter keeps the pose of the start beside the robot's.
+            poses=robots + (self.variant == ROBOCENTRIC),
+            variant=self.variant,
             largest=largest,
             most=int(most),
         )

@@ -23,7 +23,7 @@ from ekfslam.association.nearest import (
 )
 from ekfslam.compiled import compiled, inlined
 from ekfslam.estimates import Decision
-from ekfslam.filters.measure import BANKED, POINT, foresee, locate, moved, rows_of
+from ekfslam.filters.measure import BANKED, POINT, locate, moved, rows_of
 from ekfslam.filters.options import (
     ALLOCATED,
     EUCLIDEAN,
@@ -34,6 +34,8 @@ from ekfslam.filters.options import (
     NEAREST,
     SMALLEST_DISTANCE,
 )
+from ekfslam.filters.variants import INVARIANT, foresee_at, pose_of
+from ekfslam.filters.variants.right_invariant import additive
 from ekfslam.filters.visibility import feasible
 from ekfslam.geometry import Array
 
@@ -150,8 +152,10 @@ def verify(state, sightings, i, settings, log):  # type: ignore[no-untyped-def]
         return
     at, size, d = register.offsets[index], register.sizes[index], rows_of(kind)
     point, H, S = np.empty(4), np.empty((2, 7)), np.empty((2, 2))
-    here, there, nu = slam.mean[pose : pose + 3], slam.mean[at : at + size], log.innovation[i]
-    if not foresee(kind, size, sightings.mount[i], here, there, sightings.values[i], point, H, nu):
+    mean, elsewhere, there = slam.mean, slam.points.at, slam.mean[at : at + size]
+    value, mount, nu = sightings.values[i], sightings.mount[i], log.innovation[i]
+    variant = settings.variant
+    if not foresee_at(variant, mean, elsewhere, pose, at, size, kind, mount, value, point, H, nu):
         log.decision[i] = REJECTED
         return
     for a in range(d):
@@ -187,6 +191,7 @@ def against(innovation, E, R, d):  # type: ignore[no-untyped-def]
 def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-def]
     """Evidence of a look: candidates, and distances of every observation with each."""
     register, mean, P = state.register, state.slam.mean, state.slam.covariance
+    elsewhere, variant = state.slam.points.at, settings.variant
     robot, mount, kind = sightings.robot[first], sightings.mount[first], sightings.kind[first]
     pose, d, limits = 3 * robot, rows_of(kind), sightings.limits[first]
     rows = np.empty(last - first, np.int64)
@@ -197,7 +202,8 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
             m += 1
             noise = max(noise, spread(kind, sightings.values[i], sightings.covariance[i]))
     rows = rows[:m]
-    candidates = feasible(state.slam, register, robot, mount, limits, noise)
+    bounded = variant != INVARIANT  # there the variance of a landmark grows
+    candidates = feasible(state.slam, register, robot, mount, limits, noise, bounded)
     count = candidates.size
     distances, logdets = np.full((m, count), np.inf), np.zeros((m, count))
     points = np.full((m if uses_points(settings.method) else 0, count), np.inf)
@@ -210,11 +216,13 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
     for j in range(count):
         index = candidates[j]
         at, size = register.offsets[index], register.sizes[index]
-        here, there = mean[pose : pose + 3], mean[at : at + size]
+        there = mean[at : at + size]
         for k in range(m):
             i = rows[k]
             value, R = sightings.values[i], sightings.covariance[i]
-            if not foresee(kind, size, mount, here, there, value, point, H, nu):
+            if not foresee_at(
+                variant, mean, elsewhere, pose, at, size, kind, mount, value, point, H, nu
+            ):
                 continue
             if k == 0 or size > POINT:  # of a point it is the same for all of the look
                 cross(P, pose, at, size, H, at, size, H, d, E)
@@ -276,7 +284,11 @@ def back_projected(state, sightings, rows, candidates, settings, points):  # typ
             apart[0], apart[1] = where[0] - mean[at], where[1] - mean[at + 1]
             if settings.method == MAHALANOBIS_FIRST:
                 noise[:] = 0.0
-                squared, _ = against(apart, P[at : at + 2, at : at + 2], noise, 2)
+                own = P[at : at + 2, at : at + 2]
+                if settings.variant == INVARIANT:
+                    own = np.empty((2, 2))
+                    additive(mean, P, at, POINT, own)
+                squared, _ = against(apart, own, noise, 2)
                 points[k, j] = math.sqrt(squared)
             else:
                 points[k, j] = math.sqrt(apart[0] * apart[0] + apart[1] * apart[1])
@@ -306,6 +318,7 @@ def decide_jointly(state, sightings, evidence, settings, choice):  # type: ignor
     Returns whether the search was complete.
     """
     register, mean, P = state.register, state.slam.mean, state.slam.covariance
+    elsewhere, variant = state.slam.points.at, settings.variant
     distances, candidates, rows = evidence.distances, evidence.candidates, evidence.rows
     m = rows.size
     if m == 0:
@@ -324,9 +337,12 @@ def decide_jointly(state, sightings, evidence, settings, choice):  # type: ignor
             if distances[k, j] <= evidence.accept[k]:
                 i, at = rows[k], register.offsets[candidates[j]]
                 size = register.sizes[candidates[j]]
-                here, there = mean[pose : pose + 3], mean[at : at + size]
+                there, h = mean[at : at + size], H[pairs]
                 nu, value = innovations[2 * pairs : 2 * pairs + 2], sightings.values[i]
-                foresee(kind, size, sightings.mount[i], here, there, value, point, H[pairs], nu)
+                mount = sightings.mount[i]
+                foresee_at(
+                    variant, mean, elsewhere, pose, at, size, kind, mount, value, point, h, nu
+                )
                 for a in range(d):
                     nu[a] = moved(nu, H[pairs], there, point, size, a)
                 row[pairs], column[pairs] = k, j
@@ -410,11 +426,13 @@ def confirmed(state, sightings, i, settings):  # type: ignore[no-untyped-def]
     here, mount = mean[pose : pose + 3], sightings.mount[i]
     value, R = sightings.values[i], sightings.covariance[i]
     locate(sightings.kind[i], mount, here, value, R, where, G, noise)
+    own, block = np.empty(3), np.empty((3, 3))
+    pose_of(settings.variant, mean, P, state.slam.points.first, pose, own, block)
     for a in range(POINT):
         for b in range(POINT):
             for j in range(3):
                 for k in range(3):
-                    noise[a, b] += G[a, j] * entry(P, pose + j, pose + k) * G[b, k]
+                    noise[a, b] += G[a, j] * block[j, k] * G[b, k]
     apart = np.empty(2)
     best, nearest, free = -1, settings.accept[2], -1
     for t in range(things.sightings.size):

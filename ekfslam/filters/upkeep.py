@@ -42,7 +42,11 @@ def close_up(state, at, size):  # type: ignore[no-untyped-def]
 def drop(state, at, size):  # type: ignore[no-untyped-def]
     """Marginalise coordinates of the map."""
     slam = state.slam
-    remove(slam.mean, slam.covariance, slam.size[0], at, size)
+    n, points = slam.size[0], slam.points
+    remove(slam.mean, slam.covariance, n, at, size)
+    for column in (points.at, points.first):
+        for j in range(at, n - size):
+            column[j] = column[j + size]
     slam.size[0] -= size
     close_up(state, at, size)
 

@@ -56,7 +56,7 @@ def surely_sees(distance, bearing, slack, limits):  # type: ignore[no-untyped-de
 
 
 @compiled
-def feasible(slam, register, robot, mount, limits, noise):  # type: ignore[no-untyped-def]
+def feasible(slam, register, robot, mount, limits, noise, bounded):  # type: ignore[no-untyped-def]
     """Register indices of the landmarks that may be visible, ascending.
 
     Inside the view by three sigmas; all directions of open distance. Large maps are not scanned:
@@ -71,10 +71,12 @@ def feasible(slam, register, robot, mount, limits, noise):  # type: ignore[no-un
         Of the sensor.
     noise : float
         Standard deviation of a sighting, as a length [m].
+    bounded : bool
+        Whether no landmark's variance grows, which the grid rests on.
     """
     mean, P, offsets, sizes = slam.mean, slam.covariance, register.offsets, register.sizes
     count, pose = register.used[0], POSE * robot
-    if count >= LARGE and limits[1] < np.inf:
+    if bounded and count >= LARGE and limits[1] < np.inf:
         some = in_range(slam, register, pose, mount, limits[1], noise)
     else:
         some = np.arange(count)

@@ -311,7 +311,7 @@ def correct_by_the_others(state, pair, seen, point, at, settings):  # type: igno
             S[p, q] = times_transposed(rows[p], past, at, POINT, seen.H[used[q]], 0)
         S[p, p] += seen.variances[k]
         p += 1
-    correct(slam.mean, slam.covariance, n, rows, S, nu, m, settings.robots)
+    correct(slam.mean, slam.covariance, n, rows, S, nu, m, settings.poses)
 
 
 @compiled
@@ -333,6 +333,6 @@ def use_waiting(state, index, settings, journal):  # type: ignore[no-untyped-def
         rows, S = np.empty((d, n)), np.empty((d, d))
         project(slam.covariance, n, pose, at, size, H, d, rows)
         S[0, 0] = times_transposed(rows[0], pose, at, size, H, 0) + waiting.variance[w]
-        correct(slam.mean, slam.covariance, n, rows, S, z, d, settings.robots)
+        correct(slam.mean, slam.covariance, n, rows, S, z, d, settings.poses)
         waiting.row[w] = -1
     free_clones(state)

@@ -1,0 +1,140 @@
+"""The family of EKF-SLAM filters: one algorithm, and what each member does in its own way.
+
+================ ========================= ========================== ================= ===========
+filter           motion linearised         observations linearised    error coordinates frame
+================ ========================= ========================== ================= ===========
+ekf              estimate to prediction    prediction                 additive          world
+iekf             estimate to prediction    again at each correction   additive          world
+ekf-ideal        truth to truth            truth                      additive          world
+ekf-fej          prediction to prediction  pose at its prediction,    additive          world
+                                           landmark at its first
+                                           estimate
+ekf-oc           p* to prediction          prediction, and l*         additive          world
+ekf-ri           nowhere                   prediction                 right-invariant   world
+ekf-robocentric  estimate to prediction    prediction                 additive          robot
+================ ========================= ========================== ================= ===========
+
+The algorithm itself is `ekfslam.filters.ekf_slam`; the functions here are all that it asks of a
+filter, and each goes to the module that the answer is written in.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ekfslam.compiled import compiled, inlined
+from ekfslam.filters.kernels import move, shift
+from ekfslam.filters.measure import POSE, expect, foresee, locate
+from ekfslam.filters.variants import fej, ideal, iterated, oc, right_invariant, robocentric
+
+NAMES = ("ekf", "iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
+EKF, ITERATED, IDEAL, FEJ, OC, INVARIANT, ROBOCENTRIC = range(len(NAMES))
+ALONE = (OC, INVARIANT, ROBOCENTRIC)  # filters of one robot
+
+_fej, _ideal, _oc, _invariant = fej.move, ideal.move, oc.move, right_invariant.move
+_compose, _pose_of = robocentric.compose, robocentric.pose_of
+_retract, _additive = right_invariant.retract, right_invariant.additive
+_foresee_again = iterated.foresee_again
+
+
+@inlined
+def propagate(variant, slam, at, delta, Q, k, seen):  # type: ignore[no-untyped-def]
+    """Move the robot whose pose stands at an offset, in step k.
+
+    Parameters
+    ----------
+    seen : (N,) ndarray of int
+        Offsets of the landmarks that are seen next, for ekf-oc.
+    """
+    mean, P, n, points = slam.mean, slam.covariance, slam.size[0], slam.points
+    if variant == IDEAL:
+        _ideal(mean, P, n, points.at, at, delta, Q, points.poses[at // POSE, k])
+    elif variant == FEJ:
+        _fej(mean, P, n, points.at, at, delta, Q)
+    elif variant == OC:
+        _oc(mean, P, n, points.at, points.first, at, delta, Q, seen)
+    elif variant == INVARIANT:
+        _invariant(mean, P, n, delta, Q)
+    else:
+        move(mean, P, n, at, delta, Q)
+
+
+@compiled
+def foresee_at(variant, mean, points, pose, at, size, kind, mount, value, point, H, nu):  # type: ignore[no-untyped-def]
+    """`ekfslam.filters.measure.foresee`, the Jacobian where, and of the error that, a filter has.
+
+    The innovation is at the latest estimate in all of them.
+    """
+    here, there = mean[pose : pose + POSE], mean[at : at + size]
+    if not foresee(kind, size, mount, here, there, value, point, H, nu):
+        return False
+    if variant == INVARIANT:  # an error of the heading moves robot and landmark as one
+        H[0, 2] = H[1, 2] = 0.0
+    elif variant in (IDEAL, FEJ, OC):
+        here, there = points[pose : pose + POSE], points[at : at + size]
+        expect(kind, size, mount, here, there, point, H)
+    return True
+
+
+@compiled
+def begin(variant, slam, kind, mount, pose, value, R, i, target, G, noise):  # type: ignore[no-untyped-def]
+    """Choose the point of a new landmark, and its Jacobian and mapped noise by that.
+
+    Parameters
+    ----------
+    pose : int
+        Offset of the robot that sees it.
+    i : int
+        Observation.
+    target : (>= 2,) ndarray
+        The landmark, from the latest estimate.
+    G : (>= 2, 3) ndarray
+        Derivative with respect to the pose, at the estimate; written.
+    noise : (>= 2, >= 2) ndarray
+        Mapped noise, at the estimate; written.
+    """
+    if variant == INVARIANT:
+        G[0, 2] = G[1, 2] = 0.0
+    elif variant in (IDEAL, FEJ, OC):
+        n, points = slam.size[0], slam.points
+        at = points.at
+        at[n : n + 2] = points.first[n : n + 2] = target[:2]
+        if variant == OC:  # less all that moved the points before
+            at[n] -= points.first[pose]
+            at[n + 1] -= points.first[pose + 1]
+        elif variant == IDEAL and not np.isnan(points.places[i, 0]):
+            at[n : n + 2] = points.places[i]
+        elsewhere = np.empty(2)
+        locate(kind, mount, at[pose : pose + POSE], value, R, elsewhere, G, noise)
+        G[0, 2], G[1, 2] = at[pose + 1] - at[n + 1], at[n] - at[pose]
+
+
+@compiled
+def retract(variant, mean, step, n, poses):  # type: ignore[no-untyped-def]
+    """Apply the step of a correction to the mean."""
+    if variant == INVARIANT:
+        _retract(mean, step, n)
+    else:
+        shift(mean, step, n, poses)
+
+
+@inlined
+def settle_frame(variant, slam):  # type: ignore[no-untyped-def]
+    """After a correction, and at the end of a step: the robocentric frame follows the robot."""
+    if variant == ROBOCENTRIC:
+        _compose(slam.mean, slam.covariance, slam.size[0])
+
+
+@compiled
+def pose_of(variant, mean, P, first, at, pose, covariance):  # type: ignore[no-untyped-def]
+    """A robot's pose (3,) and its additive covariance (3, 3) in the world; both written."""
+    if variant == ROBOCENTRIC:
+        _pose_of(first[:POSE], mean, P, pose, covariance)
+        return
+    pose[:] = mean[at : at + POSE]
+    if variant == INVARIANT:
+        _additive(mean, P, 0, POSE, covariance)
+        return
+    for i in range(POSE):
+        for j in range(i, POSE):
+            covariance[i, j] = covariance[j, i] = P[at + i, at + j]
