@@ -6,6 +6,7 @@ asked but estimates, so that a law holds a textbook filter and a compiled one to
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -89,29 +90,24 @@ def by_identity(estimate: Estimate) -> tuple[Any, Any]:
     return x, estimate.joint_covariance[np.ix_(rows, rows)]
 
 
-class Gap(NamedTuple):
-    """Largest differences of two estimates."""
-
-    state: float
-    covariance: float  # relative to the largest entry
-
-
-def gap(one: Estimate, other: Estimate) -> Gap:
-    """Poses of all steps and final map; covariances of all steps and the final joint one."""
+def gap(one: Estimate, other: Estimate) -> float:
+    """Largest difference of poses and final map, or of covariances, relative to the largest entry:
+    those of all poses and the final joint one.
+    """
     (x, P), (y, Q) = by_identity(one), by_identity(other)
     poses = geo.additive_error(one.online.poses, other.online.poses)
     states = max(np.abs(poses).max(), np.abs((x - y)[3:]).max(initial=0.0))
     blocks = one.online.covariances - other.online.covariances
     scale = np.abs(other.online.covariances).max(initial=1e-300)
     joint = np.abs(P - Q).max() / max(np.abs(Q).max(), 1e-300)
-    return Gap(float(states), float(max(np.abs(blocks).max() / scale, joint)))
+    return float(max(states, np.abs(blocks).max() / scale, joint))
 
 
 # Laws -------------------------------------------------------------------------------------------
 
 
 def standing_still(subject: Any, sensor: Any) -> tuple[float, float]:
-    """Zhang et al. 2017, theorem 1: who does not move learns nothing of his pose.
+    """Zhang et al. 2017, theorem 1: who stands still learns nothing of where he is.
 
     Largest change of the pose, and of its covariance in units of the prior.
     """
@@ -167,7 +163,7 @@ def rigid_transform(subject: Any, dataset: Dataset) -> tuple[float, float]:
     return float(nis), float(np.max(np.abs(nees(moved, there) - before) / (1 + before)))
 
 
-def linear_case(subject: Any) -> Gap:
+def linear_case(subject: Any) -> float:
     """Distance to batch least squares where everything is linear."""
     dataset = known_headings()
     ids, solution, covariance = least_squares(dataset)
@@ -179,7 +175,13 @@ def linear_case(subject: Any) -> Gap:
     state = np.abs(x[known].reshape(-1, 2) - solution[last:]).max()
     marginal = covariance[2 * last :, 2 * last :]
     off = np.abs(P[np.ix_(known, known)] - marginal).max() / np.abs(marginal).max()
-    return Gap(float(state), float(off))
+    return float(max(state, off))
+
+
+def linear_gap(subject: Any, reference: Any) -> float:
+    """Distance to the standard EKF where everything is linear."""
+    dataset = known_headings()
+    return gap(subject.estimate(dataset), reference.estimate(dataset))
 
 
 def information_grows(subject: Any, dataset: Dataset) -> float:
@@ -249,7 +251,7 @@ def created_then_blind(steps: int = 6, known_start: bool = False) -> Dataset:
     return rows_kept(dataset, (seen.step == 0) & (seen.sensor == seen.landmark % 2))
 
 
-def prediction(subject: Any, reference: Any) -> Gap:
+def prediction(subject: Any, reference: Any) -> float:
     """Where nothing is corrected, all predict the same, of the map as well."""
     dataset = created_then_blind()
     return gap(subject.estimate(dataset), reference.estimate(dataset))
@@ -277,17 +279,135 @@ def autonomy(subject: Any) -> tuple[float, float]:
     )
 
 
-def first_step(subject: Any, reference: Any) -> Gap:
+def first_step(subject: Any, reference: Any) -> float:
     """From an exactly known start: one move, and the first landmarks."""
     dataset = problem(scanner(0.3, -0.2, 0.5), steps=1, known_start=True)
     dataset = rows_kept(dataset, dataset.observations.step == 1)
     return gap(subject.estimate(dataset), reference.estimate(dataset))
 
 
-def second_step(subject: Any, reference: Any) -> Gap:
+def second_step(subject: Any, reference: Any) -> float:
     """One more move, and the first correction."""
     dataset = problem(scanner(0.3, -0.2, 0.5), steps=2, known_start=True)
     dataset = rows_kept(dataset, dataset.observations.step >= 1)
     return gap(subject.estimate(dataset), reference.estimate(dataset))
 
 
+def without_noise(subject: Any, reference: Any) -> float:
+    """Where every estimate is the truth, all linearise there, and believe the same of it."""
+    dataset = turning(noise=0.0)
+    return gap(subject.estimate(dataset), reference.estimate(dataset))
+
+
+# Who keeps what ---------------------------------------------------------------------------------
+
+ALL = ("ekf", "iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
+CONSISTENT = ("ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
+AT_ESTIMATES = tuple(name for name in ALL if name != "ekf-ideal")
+ADDITIVE = ("ekf", "iekf", "ekf-ideal", "ekf-fej", "ekf-oc")
+BODY_SENSORS = {"range-bearing": scanner(0.3, -0.2, 0.5), "xy": camera(0.3, -0.2, 0.5)}
+PROBLEMS: dict[str, Callable[[], Dataset]] = {
+    "two sensors": turning,
+    "range-bearing": lambda: turning(scanner(), steps=25, seed=2),
+    "xy": lambda: turning(camera(), steps=25, seed=3),
+}
+
+
+class Law(NamedTuple):
+    """A law, the filters that keep it, and mistakes that break it.
+
+    Attributes
+    ----------
+    measure : callable
+        (subject, reference) to the deviation; the reference is a standard EKF.
+    bound : float
+        What round-off may come to.
+    keep : tuple of str
+    broken_by : tuple of str
+        Filters, and mistakes of `textbook_family`, that break it by a hundred times the bound.
+    """
+
+    measure: Callable[[Any, Any], float]
+    bound: float
+    keep: tuple[str, ...]
+    broken_by: tuple[str, ...]
+
+
+RI_NOISE = ("RiLeverBefore", "RiHeadingAfter")
+LAWS: dict[str, Law] = {}
+for _kind, _sensor in BODY_SENSORS.items():
+    LAWS[f"standing still, pose, {_kind}"] = Law(
+        lambda subject, _, sensor=_sensor: standing_still(subject, sensor)[0],
+        1e-12,
+        CONSISTENT,
+        ("ekf", "iekf", "OcForgetsDelta"),
+    )
+    # The constrained one learns of its position: its linearisation point of a pose moves while
+    # the robot does not.
+    LAWS[f"standing still, covariance, {_kind}"] = Law(
+        lambda subject, _, sensor=_sensor: standing_still(subject, sensor)[1],
+        1e-12,
+        tuple(name for name in CONSISTENT if name != "ekf-oc"),
+        ("ekf", "iekf", "ekf-oc", "RiKeepsPrior", "RiTells"),
+    )
+for _name, _make in PROBLEMS.items():
+    LAWS[f"gauge, {_name}"] = Law(
+        lambda subject, _, make=_make: gauge(subject, make()),
+        2e-11,
+        CONSISTENT,
+        ("ekf", "iekf", "FejAugmentsAtUpdated", "FejMovesFromUpdated", "OcForgetsDelta"),
+    )
+LAWS |= {
+    "gauge, joint": Law(
+        lambda subject, _: step_gauge(subject, turning()),
+        2e-11,
+        CONSISTENT,
+        ("ekf", "iekf", "FejAugmentsAtUpdated", "FejMovesFromUpdated", "OcForgetsDelta"),
+    ),
+    "a landmark seen once and fifty times": Law(
+        lambda subject, _: max(landmark_from_standing(subject, looks) for looks in (1, 2, 50)),
+        1e-12,
+        ALL,
+        ("RiKeepsPrior", "RiTells"),
+    ),
+    "NIS in a moved world": Law(
+        lambda subject, _: rigid_transform(subject, turning())[0], 1e-8, ALL, ()
+    ),
+    "NEES in a moved world": Law(
+        lambda subject, _: rigid_transform(subject, turning())[1],
+        1e-8,
+        ALL,
+        ("RiKeepsPrior", "RiPseudo", "RiAdds", "RiTells"),
+    ),
+    # Least squares by normal equations leaves this much.
+    "linear case, least squares": Law(
+        lambda subject, _: linear_case(subject),
+        1e-11,
+        ALL,
+        ("RiHeadingAfter", "RobocentricKeepsIncrement", "IteratesFromTheUpdated"),
+    ),
+    "linear case, all the same": Law(
+        lambda subject, reference: linear_gap(subject, reference),
+        1e-12,
+        ALL,
+        ("RiHeadingAfter", "RobocentricKeepsIncrement", "IteratesFromTheUpdated"),
+    ),
+    # Not of the others: their covariances in the world move with the estimate.
+    "information grows": Law(
+        lambda subject, _: information_grows(subject, turning()), 1e-12, ADDITIVE, ("ekf-ri",)
+    ),
+    "prediction": Law(prediction, 1e-12, AT_ESTIMATES, (*RI_NOISE, "RiKeepsPrior", "RiTells")),
+    "a finite error stays": Law(lambda subject, _: autonomy(subject)[0], 1e-12, ALL, ()),
+    "its covariance stays": Law(
+        lambda subject, _: autonomy(subject)[1], 1e-12, AT_ESTIMATES, ("ekf-ideal", "RiTells")
+    ),
+    "first step": Law(first_step, 1e-12, AT_ESTIMATES, (*RI_NOISE, "RiTells")),
+    "second step": Law(
+        second_step,
+        1e-12,
+        ("ekf", "ekf-fej", "ekf-oc"),
+        ("ekf-ri", "RobocentricKeepsIncrement"),
+    ),
+    "without noise": Law(without_noise, 1e-11, ALL, (*RI_NOISE, "RiKeepsPrior", "RiTells")),
+}
+CASES = [(law, name) for law, each in LAWS.items() for name in each.keep]

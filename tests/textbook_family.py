@@ -17,7 +17,7 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from numpy.linalg import inv, norm, solve
+from numpy.linalg import inv, solve
 
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import Decision, Estimate, Innovations, LandmarkEstimates, Trajectory
@@ -178,7 +178,6 @@ class Standard:
         K = self.P @ H.T @ inv(S)
         self.retract(K @ nu)
         self.joseph(K, H, R)
-        self.jacobians[-1].append(H)
         return nu, S
 
     def retract(self, error: Any) -> None:
@@ -216,6 +215,7 @@ class Standard:
         return np.concatenate(nu), np.concatenate([self.jacobian(i) for i in rows]), R
 
     def joseph(self, K: Any, H: Any, R: Any) -> None:
+        self.jacobians[-1].append(H)
         left = np.eye(len(self.P)) - K @ H
         self.P = left @ self.P @ left.T + K @ R @ K.T
 
@@ -288,14 +288,19 @@ class Standard:
 
 
 class Iterated(Standard):
-    """Each look is corrected by Gauss and Newton, to the end; innovations are the predicted."""
+    """Each look is corrected by Gauss and Newton; innovations are the predicted ones.
+
+    Where the prior is wide the search is slow, or goes to and fro for ever: where it ends is part
+    of the definition.
+    """
 
     name = "iekf"
+    most, still = 20, 1e-10
 
     def correct(self, rows: list[int]) -> tuple[Any, Any]:
         predicted = self.x.copy()
         first: Any = None
-        for _ in range(100):
+        for _ in range(self.most):
             nu, H, R = self.stacked(rows)
             S = H @ self.P @ H.T + R
             first = (nu, S) if first is None else first
@@ -304,7 +309,7 @@ class Iterated(Standard):
             off[2] = wrapped(off[2])
             step = off + K @ (nu - H @ off)
             self.retract(step)
-            if norm(step) < 1e-13 * (1 + norm(self.x)):
+            if np.abs(step).max() < self.still:
                 break
         self.joseph(K, H, R)
         return first

@@ -24,7 +24,7 @@ import numpy as np
 
 from ekfslam.compiled import compiled, inlined
 from ekfslam.filters.kernels import move, shift
-from ekfslam.filters.measure import POSE, expect, foresee, locate
+from ekfslam.filters.measure import POINT, POSE, expect, foresee, locate
 from ekfslam.filters.variants import fej, ideal, iterated, oc, right_invariant, robocentric
 
 NAMES = ("ekf", "iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
@@ -84,6 +84,8 @@ def begin(variant, slam, kind, mount, pose, value, R, i, target, G, noise):  # t
     ----------
     pose : int
         Offset of the robot that sees it.
+    value : (2,) ndarray
+        What was measured; of the ideal filter written: what is seen from the truth.
     i : int
         Observation.
     target : (>= 2,) ndarray
@@ -104,6 +106,8 @@ def begin(variant, slam, kind, mount, pose, value, R, i, target, G, noise):  # t
             at[n + 1] -= points.first[pose + 1]
         elif variant == IDEAL and not np.isnan(points.places[i, 0]):
             at[n : n + 2] = points.places[i]
+            here, there = at[pose : pose + POSE], at[n : n + 2]
+            expect(kind, POINT, mount, here, there, value, np.empty((2, 7)))  # as if seen exactly
         elsewhere = np.empty(2)
         locate(kind, mount, at[pose : pose + POSE], value, R, elsewhere, G, noise)
         G[0, 2], G[1, 2] = at[pose + 1] - at[n + 1], at[n] - at[pose]
