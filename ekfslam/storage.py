@@ -38,6 +38,8 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
         handle, scratch = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         with os.fdopen(handle, "wb") as stream:
             yield stream
+            stream.flush()
+            os.fsync(stream.fileno())  # the name must not reach the disk before the content
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(scratch, 0o666 & ~umask)  # mkstemp keeps others out

@@ -93,9 +93,9 @@ def concat(name: str, tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
     UnknownNameError
         For another name.
     """
+    columns = list(_columns_of(name))
     parts = [table for table in tables if len(table)]
-    empty = filled(name, {}, 0)
-    return pd.concat(parts, ignore_index=True)[list(empty.columns)] if parts else empty
+    return pd.concat(parts, ignore_index=True)[columns] if parts else filled(name, {}, 0)
 
 
 def read_csv(name: str, path: str | Path) -> pd.DataFrame:
