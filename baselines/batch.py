@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import gtsam
 import numpy as np
 
-from baselines import keys
+from baselines import covariances, keys
 from baselines.association import Association
 from baselines.entry import all_at_once, notes, rows_of, warm_up
-from baselines.landmark_graph import (
-    ODOMETRY_FLOOR,
-    LandmarkGraph,
-    point_covariances,
-    pose_covariances,
-)
+from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
 from ekfslam.dataset import Dataset
 from ekfslam.errors import UnsupportedError
@@ -43,7 +37,7 @@ class GtsamBatch:
         Relative decrease of the error below which it stops.
     max_iterations : int
     marginals : bool
-        Whether to recover the covariances of all poses and landmarks.
+        Whether to recover the covariances of all poses and landmarks, see `baselines.covariances`.
     odometry_floor : float
         See `baselines.landmark_graph.LandmarkGraph`.
     robust : {"huber", "cauchy", "dcs"}, optional
@@ -78,7 +72,7 @@ class GtsamBatch:
         ----------
         dataset : Dataset
         progress : callable, optional
-            Called with (steps done, steps in all) while covariances are recovered.
+            Not used: gtsam tells nothing on its way.
 
         Returns
         -------
@@ -92,6 +86,7 @@ class GtsamBatch:
             If the graph cannot be built, see `baselines.landmark_graph`.
         """
         warm_up(dataset)
+        covariances.warm_up()
         source = ready(self.initial, dataset)
         started = time.perf_counter()
         first = source if isinstance(source, Estimate) else source.estimate(dataset)
@@ -124,12 +119,11 @@ class GtsamBatch:
             poses, (ids, points) = problem.poses_of(values), problem.map_of(values)
             error, iterations = graph.error(values), optimizer.iterations()
             time_total = time.perf_counter() - started
-            covariances = blocks = None
+            of_poses = of_points = None
             started = time.perf_counter()
             if self.marginals:
-                marginal = gtsam.Marginals(graph, values).marginalCovariance
-                covariances, blocks = recovered(marginal, poses, ids, progress)
-                covariances = problem.by_robot(covariances)
+                of_poses, of_points = covariances.recovered(problem, graph, values)
+                of_poses = problem.by_robot(of_poses)
         except RuntimeError as failure:
             return Estimate(**common, status=FAILED, message=in_words(failure))
         said = [f"{iterations} iterations from {_name(self.initial)}", *problem.notes]
@@ -138,45 +132,14 @@ class GtsamBatch:
         return Estimate(
             **common,
             innovations=association.record(entry),
-            smoothed=Trajectory(problem.by_robot(poses), covariances),
-            landmarks=LandmarkEstimates(ids, points, blocks),
+            smoothed=Trajectory(problem.by_robot(poses), of_poses),
+            landmarks=LandmarkEstimates(ids, points, of_points),
             time_total=time_total,
             time_marginals=time.perf_counter() - started,
             graph_error=error,
             graph_dof=problem.dof(rows),
             message="; ".join(said + notes(problem, entry)),
         )
-
-
-def recovered(
-    marginal: Callable[[int], np.ndarray],
-    poses: np.ndarray,
-    ids: np.ndarray,
-    progress: Progress | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Marginal covariances of poses and landmarks of a solution.
-
-    Parameters
-    ----------
-    marginal : callable
-        gtsam's covariance of a key.
-    poses : (R, K + 1, 3) ndarray
-    ids : (L,) ndarray of int
-    progress : callable, optional
-
-    Returns
-    -------
-    (R, K + 1, 3, 3) ndarray, (L, 2, 2) ndarray
-    """
-    robots, steps = poses.shape[:2]
-    blocks = []
-    for robot in range(robots):
-        for k in range(steps):
-            blocks.append(marginal(keys.pose_key(k, robot)))
-            if progress is not None and k % 100 == 0:
-                progress(robot * steps + k, robots * steps)
-    points = [marginal(keys.landmark_key(i)) for i in ids.tolist()]
-    return pose_covariances(poses, blocks), point_covariances(points)
 
 
 def in_words(failure: RuntimeError) -> str:

@@ -76,6 +76,8 @@ class Entrance:
     ----------
     entry : dict of int to int
         Row at which each landmark entered.
+    lost : list of int
+        Rows that were given up.
     """
 
     def __init__(self, problem: LandmarkGraph) -> None:
@@ -83,6 +85,14 @@ class Entrance:
         self._landmark = problem.association.landmark.tolist()
         self._kept: dict[int, list[int]] = {}
         self.entry: dict[int, int] = {}
+        self.lost: list[int] = []
+
+    def forget(self, step: int) -> None:
+        """Give up what was kept back from before a step: its poses are known no more."""
+        first = int(self._dataset.offsets[max(step, 0)])
+        for landmark, kept in self._kept.items():
+            self.lost += [row for row in kept if row < first]
+            self._kept[landmark] = [row for row in kept if row >= first]
 
     def arrive(
         self, rows: Iterable[int], poses_at: PosesAt

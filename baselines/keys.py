@@ -43,6 +43,11 @@ def indices(key: int) -> tuple[int, int, int]:
     return key % ROBOT, key % MOUNTED // ROBOT, key % (1 << LETTER) // MOUNTED
 
 
+def carrier(key: Index) -> Index:
+    """Key of the pose of the robot that carries a displaced sensor, from that of its pose."""
+    return POSE + (key - SENSOR) % MOUNTED
+
+
 def is_landmark(key: int) -> bool:
     """Whether a key is that of a landmark."""
     return key >> LETTER == LANDMARK >> LETTER

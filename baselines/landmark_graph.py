@@ -118,6 +118,7 @@ class LandmarkGraph:
             gtsam.Pose3(gtsam.Rot3.Rz(s.mount[2]), np.array([s.mount[0], s.mount[1], 0.0]))
             for s in dataset.sensors
         ]
+        self.known_starts = np.array([not r.prior.covariance.any() for r in dataset.robots])
         priors = [self._prior_factor(i, r.prior) for i, r in enumerate(dataset.robots)]
         self._motions = [tuple(priors), *self._motion_factors(odometry_floor)]
         self._auxiliary: dict[int, int] = {}
@@ -195,7 +196,7 @@ class LandmarkGraph:
     def _prior_factor(self, robot: int, prior: Prior) -> gtsam.NonlinearFactor:
         covariance = geo.additive_to_body(prior.mean, prior.covariance)
         noise: noiseModel.Base = TIE
-        if covariance.any():
+        if not self.known_starts[robot]:
             regular, raised = floored(covariance[None], PRIOR_FLOOR)
             noise = noiseModel.Gaussian.Covariance(regular[0])
             if raised:
@@ -363,13 +364,3 @@ class LandmarkGraph:
 
 def _keys(values: gtsam.Values) -> np.ndarray:
     return np.array(values.keys(), dtype=np.int64)
-
-
-def pose_covariances(poses: Array, marginals: Sequence[Any]) -> Array:
-    """gtsam's marginals of poses (..., 3) in the additive convention, (..., 3, 3)."""
-    return geo.body_to_additive(poses, np.reshape(marginals, (*poses.shape, 3)))
-
-
-def point_covariances(marginals: Iterable[Array]) -> Array:
-    """gtsam's marginals of landmarks in x and y, (L, 2, 2)."""
-    return np.array([marginal[:2, :2] for marginal in marginals]).reshape(-1, 2, 2)

@@ -61,7 +61,12 @@ def print_report(report: Report) -> None:
     for heading in ("", "rung", "scenario", "outcome", "measured", "bound"):
         table.add_column(heading, no_wrap=True)
     table.add_column("where")
-    style = {"pass": "green", "fail": "bold red", "does not apply": "dim"}
+    style = {
+        "pass": "green",
+        "fail": "bold red",
+        "inconsistent": "yellow",
+        "does not apply": "dim",
+    }
     for rung in report.rungs:
         measured = "" if rung.measured != rung.measured else f"{rung.measured:.2g}"
         table.add_row(
@@ -74,6 +79,8 @@ def print_report(report: Report) -> None:
             escape(rung.detail),
         )
     console.print(table)
+    if report.consistent is not None:
+        print("consistent" if report.consistent else "not consistent, which is no failure")
     print("passed" if report.passed else "FAILED")
 
 

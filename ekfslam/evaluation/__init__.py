@@ -13,6 +13,10 @@ from ekfslam.evaluation.consistency import (
     squared_mahalanobis,
 )
 from ekfslam.evaluation.landmarks import match_landmarks
+from ekfslam.evaluation.monte_carlo import runs_needed, summarise
+from ekfslam.evaluation.over_time import credibility, nees_over_time
+from ekfslam.evaluation.paired import compare_pairs
+from ekfslam.evaluation.run_metrics import run_metrics
 from ekfslam.evaluation.statistics import chi2_interval, share_inside
 from ekfslam.evaluation.trajectory import (
     absolute_errors,
@@ -29,14 +33,20 @@ __all__ = [
     "alignment_motion",
     "association_scores",
     "chi2_interval",
+    "compare_pairs",
     "count_landmarks",
+    "credibility",
     "frame_motion",
     "judged",
     "match_landmarks",
+    "nees_over_time",
     "path_length",
     "pose_nees",
     "pose_nees_invariant",
     "relative_errors",
+    "run_metrics",
+    "runs_needed",
     "share_inside",
     "squared_mahalanobis",
+    "summarise",
 ]

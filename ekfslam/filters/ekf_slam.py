@@ -186,7 +186,7 @@ def correct_mapped(slam, register, sightings, first, last, accepted, joint, sett
     return total, dof
 
 
-@compiled
+@inlined
 def stack(slam, register, sightings, first, last, together, again, rows, S, z, settings, log):  # type: ignore[no-untyped-def]
     """``H P``, ``S = H P H' + R`` (its lower triangle) and innovations of accepted observations.
 

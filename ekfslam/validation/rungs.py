@@ -46,7 +46,7 @@ class Measurement(NamedTuple):
     detail: str
 
 
-def _estimate(
+def estimated(
     subject: Estimator, dataset: Dataset
 ) -> tuple[Estimate, Trajectory, LandmarkEstimates]:
     """The estimate with its parts, or the reason why there is none."""
@@ -73,7 +73,7 @@ def _linearizations(subject: Estimator, dataset: Dataset) -> tuple[Estimate, Lin
     return method(dataset)
 
 
-def _worst(parts: dict[str, Any], subject: str = "largest in") -> Measurement:
+def worst(parts: dict[str, Any], subject: str = "largest in") -> Measurement:
     """The largest of several deviations; NaN counts as infinite."""
     sizes = {
         name: float(np.max(np.nan_to_num(np.abs(part), nan=np.inf), initial=0.0))
@@ -153,7 +153,7 @@ def jacobians(subject: Estimator, dataset: Dataset, scenario: str, seed: int) ->
     place = to_point(direction)[0]
     numeric = central_differences(lambda landmark: to_point(landmark)[0] - place, direction)
     deviations["conversions to points"] = numeric - linear.jacobian[rows, :2, 3:]
-    return _worst(deviations)
+    return worst(deviations)
 
 
 def _observed(
@@ -209,14 +209,14 @@ def zero_noise(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -
     """Estimate data drawn without noise (which still state theirs) and compare with the truth."""
     _refuse(dataset, (BEARING,), "the prior of its distance is not the truth")
     clean = simulate(scenario, seed=seed, draw=0.0)
-    _, trajectory, landmarks = _estimate(subject, clean)
+    _, trajectory, landmarks = estimated(subject, clean)
     assert clean.true_map is not None
     truth = np.array([robot.truth for robot in clean.robots]).reshape(trajectory.poses.shape)
     deviations = {"the poses": geo.additive_error(truth, trajectory.poses)}
     if len(landmarks):
         true = clean.true_map.positions[_by_id(clean.true_map.ids, landmarks.ids, "the world")]
         deviations["the landmarks"] = landmarks.positions - true
-    return _worst(deviations)
+    return worst(deviations)
 
 
 # 3 ----------------------------------------------------------------------------------------------
@@ -241,7 +241,7 @@ def oracle(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -> Me
     ahead = directions - solution.inverse_depth[beyond]
     ahead[:, 2] = geo.wrap(ahead[:, 2])
     final = trajectory.poses[..., -1, :].reshape(-1, 3)
-    return _worst(
+    return worst(
         {
             "the final poses": geo.additive_error(solution.poses, final),
             "the landmarks": landmarks.positions - solution.positions[points],
@@ -256,8 +256,8 @@ def oracle(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -> Me
 
 def rigid_motion(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -> Measurement:
     """Move the world by (50 m, -30 m, 2 rad) and see whether the answer moves with it."""
-    _, here, map_here = _estimate(subject, dataset)
-    _, there, map_there = _estimate(subject, dataset.moved(RIGID_MOTION))
+    _, here, map_here = estimated(subject, dataset)
+    _, there, map_there = estimated(subject, dataset.moved(RIGID_MOTION))
     moved = geo.from_frame(RIGID_MOTION, map_here.positions)
     (ids, ahead), (ids_there, ahead_there) = map(_undetermined, (map_here, map_there))
     turned = np.concatenate([geo.compose(RIGID_MOTION, ahead[:, :3]), ahead[:, 3:]], axis=1)
@@ -272,7 +272,7 @@ def rigid_motion(subject: Estimator, dataset: Dataset, scenario: str, seed: int)
         turned = geo.congruence(geo.heading_block(RIGID_MOTION[2]), here.covariances)
         scale = np.abs(turned).max()
         deviations["the covariances (relative)"] = (there.covariances - turned) / scale
-    return _worst(deviations)
+    return worst(deviations)
 
 
 # 5 ----------------------------------------------------------------------------------------------
@@ -312,11 +312,11 @@ def _with_slip(motion: MotionModel) -> MotionModel:
 
 def _gap(subject: Estimator, data: Dataset) -> float:
     """Root mean square distance to the batch of the final positions and the landmarks [m]."""
-    _, ours, landmarks = _estimate(subject, data)
+    _, ours, landmarks = estimated(subject, data)
     if not len(landmarks):
         raise UnsupportedError("needs an estimator of landmarks")
     smoother = resolve("gtsam-batch", marginals=False, odometry_floor=FLOOR)
-    _, best, best_landmarks = _estimate(smoother, data)
+    _, best, best_landmarks = estimated(smoother, data)
     final = (ours.poses - best.poses)[..., -1, :2].reshape(-1, 2)
     shared = best_landmarks.positions[_by_id(best_landmarks.ids, landmarks.ids)]
     apart = np.concatenate([final, landmarks.positions - shared])

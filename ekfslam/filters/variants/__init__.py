@@ -59,7 +59,7 @@ def propagate(variant, slam, at, delta, Q, k, seen):  # type: ignore[no-untyped-
         move(mean, P, n, at, delta, Q)
 
 
-@compiled
+@inlined
 def foresee_at(variant, mean, points, pose, at, size, kind, mount, value, point, H, nu):  # type: ignore[no-untyped-def]
     """`ekfslam.filters.measure.foresee`, the Jacobian where, and of the error that, a filter has.
 
@@ -113,7 +113,7 @@ def begin(variant, slam, kind, mount, pose, value, R, i, target, G, noise):  # t
         G[0, 2], G[1, 2] = at[pose + 1] - at[n + 1], at[n] - at[pose]
 
 
-@compiled
+@inlined
 def retract(variant, mean, step, n, poses):  # type: ignore[no-untyped-def]
     """Apply the step of a correction to the mean."""
     if variant == INVARIANT:
@@ -129,7 +129,7 @@ def settle_frame(variant, slam):  # type: ignore[no-untyped-def]
         _compose(slam.mean, slam.covariance, slam.size[0])
 
 
-@compiled
+@inlined
 def pose_of(variant, mean, P, first, at, pose, covariance):  # type: ignore[no-untyped-def]
     """A robot's pose (3,) and its additive covariance (3, 3) in the world; both written."""
     if variant == ROBOCENTRIC:

@@ -11,7 +11,7 @@ from ekfslam.compiled import compiled
 from ekfslam.filters.measure import expect, innovate
 
 MOST = 20  # iterations
-STILL = 1e-10  # [m, rad]: iterates that differ by less are the same
+STILL = 1e-6  # [m, rad]: iterates that differ by less are the same
 
 
 @compiled
