@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Campaign": "ekfslam.experiments",
+    "CampaignResults": "ekfslam.experiments",
     "Comparison": "ekfslam.experiments",
     "Dataset": "ekfslam.dataset",
     "Ekf": "ekfslam.filters.ekf",
@@ -40,7 +42,10 @@ _HOMES = {
     "association_study": "ekfslam.experiments",
     "check": "ekfslam.validation",
     "compare": "ekfslam.experiments",
+    "load_campaign": "ekfslam.experiments",
     "load_scenario": "ekfslam.simulation",
+    "read_campaign": "ekfslam.experiments",
+    "run_campaign": "ekfslam.experiments",
     "simulate": "ekfslam.simulation",
 }
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
+from ekfslam.cli.campaigns import campaign, summary
 from ekfslam.cli.printing import (
     print_list,
     print_partial_study,
@@ -17,9 +16,7 @@ from ekfslam.cli.printing import (
     print_study,
     print_summary,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from ekfslam.cli.progress import progress
 
 HELP = """Compare hand-written EKF-SLAM with GTSAM smoothers of the same landmark graph.
 
@@ -40,6 +37,8 @@ HELP = """Compare hand-written EKF-SLAM with GTSAM smoothers of the same landmar
   ekfslam compare run.npz                       [dim]a dataset from a file[/dim]
 
   ekfslam study association                     [dim]who tells trees apart in noise[/dim]
+
+  ekfslam campaign my.toml --out results/mine   [dim]many seeds; goes on if stopped[/dim]
 """
 
 app = typer.Typer(
@@ -152,7 +151,7 @@ def compare(
 
     if out is not None:
         check_folder(out)
-    with _progress() as watch:
+    with progress() as watch:
         comparison = run(
             datasets or list(DATASETS),
             split(estimators),
@@ -212,7 +211,7 @@ def association(
         factors = [float(word) for word in split(scales)]
     except ValueError:
         raise InputError(f"--scales are numbers separated by commas, got {scales!r}") from None
-    with _progress() as watch:
+    with progress() as watch:
         found = association_study(
             scenario,
             METHODS if methods is None else split(methods),
@@ -246,7 +245,7 @@ def partial(
     from ekfslam.experiments.files import check_folder
 
     check_folder(out)
-    with _progress() as watch:
+    with progress() as watch:
         found = partial_study(seeds, workers=workers, watch=watch)
     print_partial_study(found)
     files = found.save(out)
@@ -340,23 +339,5 @@ def estimators() -> None:
     print_list(rows)
 
 
-@contextmanager
-def _progress() -> Iterator[Callable[[str, str, int, int], None]]:
-    """A progress bar on standard error, gone when the work is done."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    ) as bar:
-        task = bar.add_task("", total=None)
-
-        def watch(dataset: str, estimator: str, done: int, total: int) -> None:
-            bar.update(task, description=f"{dataset}: {estimator}", completed=done, total=total)
-
-        yield watch
+app.command()(campaign)
+app.command()(summary)

@@ -15,7 +15,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ekfslam.experiments import AssociationStudy, PartialStudy
+    from ekfslam.experiments import AssociationStudy, CampaignResults, PartialStudy
     from ekfslam.validation import Report
 
 WIDE = 150  # columns that a table may take
@@ -128,6 +128,41 @@ def print_partial_study(study: PartialStudy) -> None:
         console.print()
 
 
+def print_campaign(results: CampaignResults) -> None:
+    """Scenario by scenario the estimators below each other, then who beats whom."""
+    console = _console()
+    done, cells = results.cells
+    if done < cells:
+        console.print(f"{done} of {cells} cells are done; this is what they say", style="bold")
+    summary = results.summary
+    columns: dict[str, Any] = {
+        name: [_plus_minus(*pair) or None for pair in _pairs(summary, *names)]
+        for name, names in SPREAD.items()
+    }
+    columns["interval"] = [
+        f"[{low:.3g}, {high:.3g}]" if low == low else None
+        for low, high in _pairs(summary, "final_nees_low_95", "final_nees_high_95")
+    ]
+    keys = ["scenario", "estimator"]
+    times = results.timings.groupby(keys, sort=False)["time_total_s"].median()
+    shown = summary.assign(**columns)
+    shown = shown.merge(times.rename("seconds").reset_index(), on=keys, how="left")
+    for name, part in shown.groupby("scenario", sort=False):
+        apart = [key for key in ("series", "robot") if part[key].nunique() > 1]
+        _print(_table(part, ["estimator", *apart], OVER_RUNS, str(name)))
+        runs = results.runs[results.runs["scenario"] == name]
+        without = runs[runs["status"].isin(["failed", "skipped"])]
+        for estimator, rows in without.groupby("estimator", sort=False):
+            first = rows.iloc[0]
+            text = f"  {estimator}: {first['status']} at {len(rows)} seeds: {first['message']}"
+            console.print(escape(text), style="dim")
+        for _, row in results.pairs[results.pairs["scenario"] == name].iterrows():
+            whose = f" ({row['robot']})" if "robot" in apart else ""
+            text = f"  {row['a']}, {row['b']}{whose}: {row['verdict']}"
+            console.print(escape(text), soft_wrap=True)
+        console.print()
+
+
 # Columns ----------------------------------------------------------------------------------------
 
 
@@ -196,6 +231,27 @@ PAIRED = (
     Column("ate", "ATE [m]\nmean ± s.e.", str),
     Column("share_better", "less in", _percent),
     Column("runs", "draws", str),
+)
+SPREAD = {
+    "nees": ("run_nees_pose_mean", "run_nees_pose_se"),
+    "invariant": ("run_nees_pose_invariant_mean", "run_nees_pose_invariant_se"),
+    "nis": ("nis_per_dof", "nis_per_dof_sd"),
+    "ate": ("ate_position_rmse_m_mean", "ate_position_rmse_m_se"),
+}
+OVER_RUNS = (
+    Column("runs", "runs", str),
+    Column("diverged_share", "diverged", _percent),
+    Column("nees", "NEES (3)\nmean ± s.e.", str),
+    Column("run_nees_pose_median", "NEES (3)\nmedian", _digits),
+    Column("invariant", "inv. NEES (3)\nmean ± s.e.", str),
+    Column("final_nees_pose_mean", "final\nNEES (3)", _digits),
+    Column("interval", "95 % of it, if\nconsistent", str),
+    Column("nis", "NIS/dof\n± s.d.", str),
+    Column("ate", "ATE [m]\nmean ± s.e.", str),
+    Column("sigma_ratio_position_median", "sigma ratio\nmedian", _digits),
+    Column("gap_final_position_m_median", "pose gap [m]\nmedian", _digits),
+    Column("graph_chi2_per_dof", "chi2\n/dof", _digits),
+    Column("seconds", "time [s]\nmedian", _seconds),
 )
 HEADINGS = {"odometry_noise": "noise"}
 

@@ -1,0 +1,142 @@
+"""Units of work in this process, on a cluster of this machine, or on one that is there: Dask.
+
+Wherever a unit runs it gives the same bytes: what it needs comes with it, and libraries of linear
+algebra keep to one thread, so that workers do not fight over the cores either.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from threadpoolctl import threadpool_limits
+
+from ekfslam.errors import InputError
+from ekfslam.experiments.cells import Unit, failed, work
+from ekfslam.experiments.store import packed
+from ekfslam.registry import resolve
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Done = tuple[Unit, dict[str, bytes]]
+
+LIVES = 3  # workers that a unit may take with it before it is given up
+AHEAD = 3  # units per thread that the scheduler knows of: none has to wait for this process
+PATIENCE = "10s"  # for a scheduler to answer
+SETTINGS = {
+    "distributed.scheduler.allowed-failures": LIVES - 1,
+    "distributed.scheduler.worker-saturation": 1.0,  # a worker has one unit, and loses no other
+    "distributed.worker.multiprocessing-method": "spawn",
+}
+
+
+def run_units(
+    units: Sequence[Unit], workers: int = 1, scheduler: str | None = None
+) -> Iterator[Done]:
+    """Work on units, which come back as they finish, with their tables as files.
+
+    A unit whose worker dies runs again. One that has taken `LIVES` workers with it is split into
+    its estimators; an estimator that does so alone gives a row that says so.
+
+    Parameters
+    ----------
+    units : sequence of Unit
+    workers : int
+        Processes on this machine; 1 is this process.
+    scheduler : str, optional
+        Address of a Dask cluster to use instead.
+
+    Raises
+    ------
+    InputError
+        If there is no scheduler at that address, it is lost, or its workers lack a module.
+    """
+    if not units:
+        return
+    if scheduler is None and workers == 1:
+        for unit in units:
+            yield unit, alone(unit)
+        return
+    with _connected(min(workers, len(units)), scheduler) as client:
+        yield from _finished(client, units)
+
+
+def alone(unit: Unit) -> dict[str, bytes]:
+    """The tables of a unit as files, made with one thread."""
+    _load(tuple(unit.estimators.values()))
+    with threadpool_limits(1):
+        return packed(work(unit))
+
+
+@cache
+def _load(estimators: tuple[str, ...]) -> None:
+    """Load the libraries whose threads are to be told."""
+    for text in estimators:
+        resolve(text)
+
+
+@contextmanager
+def _connected(workers: int, scheduler: str | None) -> Iterator[Client]:
+    """A client of a new cluster, which goes when it does, or of one that is there."""
+    import dask  # takes a moment
+    from distributed import Client, LocalCluster
+
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set(SETTINGS))
+        cluster = scheduler
+        if cluster is None:
+            cluster = stack.enter_context(
+                LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    memory_limit=0,  # a matter for the system: nothing is kept on workers
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                )
+            )
+        try:
+            client = Client(cluster, set_as_default=False, timeout=PATIENCE)
+        except (OSError, ValueError) as error:
+            raise InputError(f"no Dask scheduler at {scheduler}: {error}") from None
+        yield stack.enter_context(client)
+
+
+def _finished(client: Client, units: Sequence[Unit]) -> Iterator[Done]:
+    from distributed import KilledWorker, as_completed
+    from distributed.client import FutureCancelledError
+
+    waiting = deque(units)
+    running: dict[Any, Unit] = {}
+    finished = as_completed(loop=client.loop)
+
+    def hand_out() -> None:
+        threads = sum(client.nthreads().values())
+        while waiting and len(running) < AHEAD * max(1, threads):
+            future = client.submit(alone, waiting[0], pure=False)
+            running[future.key] = waiting.popleft()
+            finished.add(future)
+
+    hand_out()
+    for future in finished:
+        unit = running.pop(future.key)
+        done = None
+        try:
+            done = future.result()
+        except KilledWorker:
+            if len(unit.estimators) == 1:
+                done = packed(failed(unit, "the worker died, each time that it ran"))
+            else:
+                waiting.extendleft(unit.alone())
+        except FutureCancelledError:
+            raise InputError("the connection to the Dask scheduler is lost") from None
+        except ImportError as error:
+            raise InputError(f"a worker cannot run {unit}: {error}") from None
+        hand_out()
+        if done is not None:
+            yield unit, done

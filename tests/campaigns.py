@@ -1,0 +1,85 @@
+"""Campaigns to test with: small ones, and estimators that misbehave."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+from threadpoolctl import threadpool_info
+
+from ekfslam.errors import UnsupportedError
+from ekfslam.experiments import read_campaign
+from ekfslam.registry import resolve
+
+SMALL = {
+    "name": "small",
+    "seeds": 3,
+    "estimators": ["ekf", "dead-reckoning"],
+    "scenarios": [
+        {
+            "name": "loop-15",
+            "set": {"path": {"repeat": 12}},
+            "sweep": {"motion.sigmas": [[0.01, 0.02], [0.01, 0.06]]},
+        }
+    ],
+    "metrics": {"skip": 3, "steps": {"every": 5}},
+    "compare": {"baseline": "ekf"},
+}
+"""Two variants, three seeds, two estimators: twelve cells in six units."""
+
+TABLES = ("runs", "summary", "nees_over_time", "pairs")
+
+
+def tables(folder):
+    """What a campaign says, as bytes: everything but the timings."""
+    results = read_campaign(folder)
+    texts = {name: getattr(results, name).to_csv(index=False) for name in TABLES}
+    return texts | {"steps": results.steps.to_csv(index=False)}
+
+
+def files(folder):
+    """The Parquet files of a campaign with their bytes, but for the timings."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for table in ("runs", "steps")
+        for path in sorted((Path(folder) / table).iterdir())
+    }
+
+
+class Deadly:
+    """Dead reckoning that kills the process it runs in: at one seed, so many times."""
+
+    def __init__(self, seed=1, times=1):
+        self.seed, self.times = seed, times
+
+    def estimate(self, dataset):
+        with open("runs.log", "a") as log:
+            log.write(f"{dataset.seed}\n")
+        deaths = Path("runs.log").read_text().split().count(str(self.seed))
+        if dataset.seed == self.seed and deaths <= self.times:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return resolve("dead-reckoning").estimate(dataset)
+
+
+class Broken:
+    """Raises at odd seeds."""
+
+    def estimate(self, dataset):
+        if dataset.seed % 2:
+            raise RuntimeError("odd\nseeds")
+        return resolve("dead-reckoning").estimate(dataset)
+
+
+class Refusing:
+    """Does not apply."""
+
+    def estimate(self, dataset):
+        raise UnsupportedError("not for me")
+
+
+class Threads:
+    """Tells how many threads linear algebra may use."""
+
+    def estimate(self, dataset):
+        raise RuntimeError(str(max(pool["num_threads"] for pool in threadpool_info())))
