@@ -422,11 +422,12 @@ def test_check_shows_every_rung_and_passes(command):
     shown = command("check", "ekf")
     assert shown.status == 0
     lines = [line for line in shown.out.splitlines() if re.match(r" ?\d ", line)]
-    assert [int(line.split()[0]) for line in lines] == [1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
-    assert all(" pass " in line for line in lines)
+    assert [int(line.split()[0]) for line in lines] == [i for i in range(1, 8) for _ in range(2)]
+    assert all((" pass " if line.split()[0] < "6" else " inconsistent ") in line for line in lines)
     for words in ("cloister", "loop-15", "<= 1e-09", ">= 1.7", "gaps "):
         assert words in shown.out
     assert shown.out.splitlines()[-1] == "passed"
+    assert shown.out.splitlines()[-2].startswith("not consistent")
 
 
 def test_check_fails_with_status_1(command, folder):

@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import textbook_family as book
 from problems import rows_kept
 
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import Decision, Linearizations
 from ekfslam.filters.ekf import Ekf
 from ekfslam.filters.options import UPDATES
+from ekfslam.registry import resolve
 from ekfslam.simulation import simulate
-from ekfslam.validation import check, rungs
+from ekfslam.validation import check, gauge, rungs
 
 SCENARIOS = ("team", "two-sensors", "cloister-bearing", "cloister-range", "hand-held")
 BAR = 1e-9
@@ -209,4 +211,95 @@ def test_what_a_prior_or_waiting_rules_out():
 def test_the_whole_ladder_on_a_team():
     report = check("ekf", scenarios="team")
     assert report.passed
-    assert [rung.outcome for rung in report.rungs] == 5 * ["pass"]
+    outcomes = [rung.outcome for rung in report.rungs]
+    assert outcomes == 5 * ["pass"] + ["inconsistent", "does not apply"]
+    assert "team" in report.rungs[-1].detail
+
+
+# 6 and 7 ------------------------------------------------------------------------------------------
+
+
+CONSISTENT = [book.Ideal, book.FirstEstimates, book.RightInvariant, book.Robocentric]
+LEARNS = [book.FejAugmentsAtUpdated, book.FejMovesFromUpdated, book.OcForgetsDelta]
+
+
+@pytest.mark.parametrize("name", ["cloister", "loop-15"])
+@pytest.mark.parametrize("kind", CONSISTENT)
+def test_a_consistent_filter_learns_nothing_that_cannot_be_learnt(kind, name):
+    assert climb(gauge.standing_still, name, book.Textbook(kind)).value < 1e-12
+    assert climb(gauge.gauge, name, book.Textbook(kind)).value < 1e-9
+
+
+@pytest.mark.parametrize("kind", [book.Standard, *LEARNS])
+def test_what_a_filter_makes_of_the_prior_shows(kind):
+    measurement = climb(gauge.gauge, "loop-15", book.Textbook(kind))
+    assert measurement.value > 0.01
+    assert "whitened innovations" in measurement.detail
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (book.Standard, "covariances"),
+        (book.ObservabilityConstrained, "covariances"),
+        (book.RiKeepsPrior, "covariances"),
+        (book.OcForgetsDelta, "covariances"),
+    ],
+)
+def test_what_is_learnt_standing_still_shows(kind, said):
+    measurement = climb(gauge.standing_still, "cloister", book.Textbook(kind))
+    assert measurement.value > 0.01
+    assert said in measurement.detail
+
+
+def test_a_pose_that_moves_where_nobody_does_shows():
+    class Drifting(Ekf):
+        def estimate(self, dataset, progress=None):
+            estimate = book.Textbook(book.RightInvariant).estimate(dataset)
+            poses = estimate.online.poses.copy()
+            poses[-1, 0] += 1e-6
+            return replace(estimate, online=replace(estimate.online, poses=poses))
+
+    measurement = climb(gauge.standing_still, "loop-15", Drifting())
+    assert measurement.value == pytest.approx(1e-6)
+    assert "poses" in measurement.detail
+
+
+def test_the_prior_may_not_change_which_sightings_are_used():
+    class Choosy:
+        """Drops the innovations of the first ten steps if it is unsure of the start."""
+
+        def estimate(self, dataset):
+            estimate = book.Textbook(book.RightInvariant).estimate(dataset)
+            if dataset.prior.covariance[0, 0] < 0.1:
+                return estimate
+            innovation = estimate.innovations.innovation.copy()
+            innovation[dataset.observations.step < 10] = np.nan
+            return replace(
+                estimate, innovations=replace(estimate.innovations, innovation=innovation)
+            )
+
+    measurement = climb(gauge.gauge, "loop-15", Choosy())
+    assert measurement.value > 10
+    assert "under one of the priors" in measurement.detail
+
+
+@pytest.mark.parametrize("name", ["cloister-bearing", "cloister-range", "two-sensors", "hand-held"])
+def test_partial_views_know_the_gauge_too(name):
+    """A robot that stands still needs a sensor that shows where a landmark is."""
+    assert 1e-3 < climb(gauge.gauge, name).value < 100
+    if name.startswith("cloister"):
+        with pytest.raises(UnsupportedError, match="where landmarks are"):
+            climb(gauge.standing_still, name)
+
+
+def test_consistency_is_asked_of_filters_alone():
+    dataset = simulate("loop-15", seed=1)
+    for rung in (gauge.standing_still, gauge.gauge):
+        with pytest.raises(UnsupportedError, match="innovations"):
+            climb(rung, "loop-15", resolve("dead-reckoning"), dataset)
+    with pytest.raises(UnsupportedError, match="robot"):
+        climb(gauge.gauge, "team")
+    recorded = replace(dataset, true_map=None)
+    with pytest.raises(UnsupportedError, match="truth"):
+        climb(gauge.standing_still, "loop-15", dataset=recorded)
