@@ -259,6 +259,8 @@ def check(
 ) -> None:
     """Climb the ladder of tests that a right estimator passes; exit status 1 if a rung fails.
 
+    The last rungs ask whether a filter is consistent. The standard EKF is not: no failure.
+
     [bold]Examples[/bold]
 
       ekfslam check ekf
