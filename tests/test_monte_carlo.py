@@ -334,18 +334,25 @@ def test_whiteness_pools_runs_and_sees_correlation(rng):
     assert coloured["white_rho"] == pytest.approx(0.4, abs=4 * coloured["white_rho_sd"])
 
 
-def test_the_standard_error_of_rho_holds_where_products_depend_on_each_other(rng):
-    """Every product twice: rho scatters by root two more than its terms say; the error knows."""
+@pytest.mark.parametrize("shape", [0.0, 1.0])
+def test_the_standard_error_of_rho_holds_where_products_depend_on_each_other(rng, shape):
+    """Every product twice: rho scatters by root two more than its terms say; the error knows.
+
+    It knows, too, where rho is not zero.
+    """
     campaigns, count = 400, 30
-    runs = white_runs(rng.normal(size=(campaigns * count, 41)), "")
+    w = rng.normal(size=(campaigns * count, 42))
+    runs = white_runs(w[:, 1:] + shape * w[:, :-1], "")
     runs["scenario"] = np.repeat(np.arange(campaigns), count).astype(str)
     runs["white_terms"] = 80
     table = summarise(runs)
     variance = (count - 1) / (count - 3)  # of Student's t
-    z = table["white_rho"] / table["white_rho_se"]
+    off = table["white_rho"] - shape / (1 + shape**2)
+    z = off / table["white_rho_se"]
     assert z.var() == pytest.approx(variance, abs=4 * variance * np.sqrt(2.2 / campaigns))
-    told = table["white_rho"] / table["white_rho_sd"]
-    assert told.var() == pytest.approx(2.0, abs=4 * 2.0 * np.sqrt(2.2 / campaigns))
+    if not shape:
+        told = table["white_rho"] / table["white_rho_sd"]
+        assert told.var() == pytest.approx(2.0, abs=4 * 2.0 * np.sqrt(2.2 / campaigns))
 
 
 def test_both_ways_to_form_an_rms_over_runs(rng):

@@ -199,7 +199,7 @@ def _pairs(runs: pd.DataFrame, metric: str, chosen: list[tuple[str, str]]) -> It
         for robot in robots:
             mine = rows[(rows["robot"] == robot).fillna(True) & rows["competitor"].notna()]
             table = mine.pivot(index="seed", columns="competitor", values=metric).astype(float)
-            table = table.where(np.isfinite(table)).sort_index()
+            table = table.where(np.isfinite(table))
             for a, b in chosen:
                 if a not in estimators or b not in estimators:
                     continue
