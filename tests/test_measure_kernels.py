@@ -67,7 +67,8 @@ def direct(sensor, pose, target):
 def expect(kernel, sensor, pose, target):
     """Value and Jacobian of the compiled direct model; what it does not write stays NaN."""
     expected, H = np.full(2, np.nan), np.full((2, 7), np.nan)
-    arguments = sensor.view.code, len(target), sensor.mount.copy(), pose, target
+    placed = kernel("placed")(sensor.mount.copy(), pose)
+    arguments = sensor.view.code, len(target), placed, target
     seen = kernel("expect")(*arguments, expected, H)
     d = sensor.view.size
     assert np.isnan(expected[d:]).all()
@@ -150,7 +151,8 @@ def foresee(kernel, sensor, pose, target, value):
     """Point of linearisation, Jacobian and innovation, and whether there was something to see."""
     size, d = len(target), sensor.view.size
     point, H, nu = np.full(4, np.nan), np.full((2, 7), np.nan), np.full(2, np.nan)
-    arguments = sensor.view.code, size, sensor.mount.copy(), pose, target, padded(value)
+    placed = kernel("placed")(sensor.mount.copy(), pose)
+    arguments = sensor.view.code, size, placed, target, padded(value)
     seen = kernel("foresee")(*arguments, point, H, nu)
     return point[:size], H[:d, : 3 + size], nu[:d], seen
 

@@ -15,7 +15,7 @@ from ekfslam.compiled import compiled, inlined, now
 from ekfslam.estimates import Decision
 from ekfslam.filters.initiation import extend
 from ekfslam.filters.kernels import downdate, project, solve, times_transposed
-from ekfslam.filters.measure import BANKED, POINT, POSE, moved, rows_of
+from ekfslam.filters.measure import BANKED, POINT, POSE, moved, placed, rows_of
 from ekfslam.filters.options import KNOWN
 from ekfslam.filters.recognition import by_identity
 from ekfslam.filters.variants import (
@@ -212,6 +212,8 @@ def stack(slam, register, sightings, first, last, together, again, rows, S, z, s
     decision, landmark, innovation, spread = log.decision, log.landmark, log.innovation, log.S
     kind, mount, pose = sightings.kind[first], sightings.mount[first], POSE * sightings.robot[first]
     d, variant = rows_of(kind), settings.variant
+    sensor = placed(mount, mean[pose : pose + POSE])
+    elsewhere = placed(mount, points[pose : pose + POSE])
     H, point, nu = np.empty((together, 2, 7)), np.empty(4), np.empty(2)
     places, sizes = np.empty(together, np.int64), np.empty(together, np.int64)
     m = 0
@@ -227,9 +229,9 @@ def stack(slam, register, sightings, first, last, together, again, rows, S, z, s
             continue
         h = H[m]
         if again:
-            foresee_again(kind, size, mount, mean, points, pose, at, values[i], h, nu)
+            foresee_again(kind, size, elsewhere, mean, points, pose, at, values[i], h, nu)
         elif not foresee_at(
-            variant, mean, points, pose, at, size, kind, mount, values[i], point, h, nu
+            variant, mean, points, sensor, elsewhere, at, size, kind, values[i], point, h, nu
         ):
             decision[i] = REJECTED  # an inverse depth that has no distance to compare with
             continue

@@ -9,7 +9,7 @@ import numpy as np
 from ekfslam.compiled import compiled
 from ekfslam.estimates import Decision
 from ekfslam.filters.kernels import append, correct, project, times_transposed
-from ekfslam.filters.measure import BANKED, POINT, POSE, expect, innovate, locate, rows_of
+from ekfslam.filters.measure import BANKED, POINT, POSE, expect, innovate, locate, placed, rows_of
 from ekfslam.filters.upkeep import drop
 from ekfslam.models.sensors import RANGE_BEARING
 
@@ -88,8 +88,8 @@ def hypothesis(state, sightings, i, at, expected, H, z):  # type: ignore[no-unty
     slam = state.slam
     kind, pose, n = sightings.kind[i], POSE * sightings.robot[i], slam.size[0]
     d = rows_of(kind)
-    there = slam.mean[at : at + POINT]
-    expect(kind, POINT, sightings.mount[i], slam.mean[pose : pose + POSE], there, expected, H)
+    sensor = placed(sightings.mount[i], slam.mean[pose : pose + POSE])
+    expect(kind, POINT, sensor, slam.mean[at : at + POINT], expected, H)
     innovate(kind, sightings.values[i], expected, z)
     rows, S = np.empty((d, n)), np.empty((d, d))
     project(slam.covariance, n, pose, at, POINT, H, d, rows)

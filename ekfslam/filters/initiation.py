@@ -25,6 +25,7 @@ from ekfslam.filters.measure import (
     innovate,
     locate,
     locate_direction,
+    placed,
     rows_of,
 )
 from ekfslam.filters.options import ALLOCATED, MAPPED, NAIVE
@@ -128,7 +129,7 @@ def start_uninformed(state, sightings, i, settings, log, journal):  # type: igno
     expected, H, z = np.zeros(2), np.zeros((2, 7)), np.zeros(2)
     rows, S = np.empty((d, n)), np.empty((d, d))
     there = slam.mean[at : at + POINT]
-    expect(kind, POINT, mount, pose, there, expected, H)
+    expect(kind, POINT, placed(mount, pose), there, expected, H)
     innovate(kind, value, expected, z)
     record(journal, OBSERVED, i, robot, state.clock[0], index, -1, POINT, d, pose, there, H, z, R)
     project(slam.covariance, n, POSE * robot, at, POINT, H, d, rows)
@@ -200,6 +201,6 @@ def note_corrections(state, sightings, first, last, log, journal):  # type: igno
             at, size = register.offsets[index], register.sizes[index]
         here, there, R = mean[POSE * robot :][:POSE], mean[at : at + size], sightings.covariance[i]
         mount, value, target = sightings.mount[i], sightings.values[i], sightings.target[i]
-        if foresee(kind, size, mount, here, there, value, point, H, nu):
+        if foresee(kind, size, placed(mount, here), there, value, point, H, nu):
             step, d = state.clock[0], rows_of(kind)
             record(journal, OBSERVED, i, robot, step, index, target, size, d, here, point, H, nu, R)

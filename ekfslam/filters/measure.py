@@ -23,7 +23,20 @@ def rows_of(kind):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def expect(kind, size, mount, pose, target, expected, H):  # type: ignore[no-untyped-def]
+def placed(mount, pose):  # type: ignore[no-untyped-def]
+    """Where a sensor is: x, y, cosine and sine of its heading, and its lever on the robot (x, y).
+
+    The same for all that is seen in a look, of which there may be much.
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    lever_x, lever_y = c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]
+    if mount[2] != 0.0:
+        c, s = math.cos(pose[2] + mount[2]), math.sin(pose[2] + mount[2])
+    return pose[0] + lever_x, pose[1] + lever_y, c, s, lever_x, lever_y
+
+
+@compiled
+def expect(kind, size, sensor, target, expected, H):  # type: ignore[no-untyped-def]
     """Direct model with Jacobian (Solà, Eqs. 24 and 25), by the chain rule over three frames.
 
     Parameters
@@ -33,9 +46,8 @@ def expect(kind, size, mount, pose, target, expected, H):  # type: ignore[no-unt
     size : int
         Coordinates of the target: 2 of a point, 4 of an inverse depth (x0, y0, alpha, rho), 3 of a
         robot's pose, of which the position is seen.
-    mount : (3,) ndarray
-        Pose of the sensor on the body.
-    pose : (3,) ndarray
+    sensor : tuple
+        Of `placed`.
     target : (size,) ndarray
     expected : (2,) ndarray
         Written: h(pose, target), as many numbers as the view reports.
@@ -48,9 +60,8 @@ def expect(kind, size, mount, pose, target, expected, H):  # type: ignore[no-unt
         False for a target without a place that the view could see: an inverse depth of which the
         distance is asked and which is not positive.
     """
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    lever_x, lever_y = c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]
-    x, y = target[0] - pose[0] - lever_x, target[1] - pose[1] - lever_y
+    sensor_x, sensor_y, ca, sa, lever_x, lever_y = sensor
+    x, y = target[0] - sensor_x, target[1] - sensor_y
     scale, along_x, along_y, inverse = 1.0, 0.0, 0.0, 1.0
     if size == INVERSE_DEPTH:
         along_x, along_y = math.cos(target[2]), math.sin(target[2])
@@ -61,7 +72,6 @@ def expect(kind, size, mount, pose, target, expected, H):  # type: ignore[no-unt
         else:
             inverse = 1.0 / target[3]
     vx, vy = scale * x + inverse * along_x, scale * y + inverse * along_y
-    ca, sa = math.cos(pose[2] + mount[2]), math.sin(pose[2] + mount[2])
     u, w = ca * vx + sa * vy, ca * vy - sa * vx  # in the sensor
     r2 = u * u + w * w
     r = math.sqrt(r2)
@@ -111,7 +121,7 @@ def innovate(kind, value, expected, innovation):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def along_the_ray(kind, mount, pose, target, value, point):  # type: ignore[no-untyped-def]
+def along_the_ray(kind, sensor, target, value, point):  # type: ignore[no-untyped-def]
     """Where to linearise a sighting of an inverse depth that tells its range: at that range.
 
     A prior on rho holds distances that differ by far more than a range is linear over; where the
@@ -121,16 +131,16 @@ def along_the_ray(kind, mount, pose, target, value, point):  # type: ignore[no-u
 
     Parameters
     ----------
-    kind, mount, pose, value
+    kind, value
         The observation, of a view that reports a range or x and y.
+    sensor : tuple
+        Of `placed`.
     target : (4,) ndarray
         The inverse depth.
     point : (4,) ndarray
         Written: the same ray, with another rho.
     """
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    x = pose[0] + c * mount[0] - s * mount[1] - target[0]  # of the sensor, from the ray's origin
-    y = pose[1] + s * mount[0] + c * mount[1] - target[1]
+    x, y = sensor[0] - target[0], sensor[1] - target[1]  # of the sensor, from the ray's origin
     ca, sa = math.cos(target[2]), math.sin(target[2])
     distance = x * ca + y * sa
     if kind == RANGE:
@@ -143,20 +153,21 @@ def along_the_ray(kind, mount, pose, target, value, point):  # type: ignore[no-u
         ahead, left = value[0], value[1]
         if kind == RANGE_BEARING:
             ahead, left = value[0] * math.cos(value[1]), value[0] * math.sin(value[1])
-        turn = pose[2] + mount[2] - target[2]  # the point seen, along the ray
-        distance += ahead * math.cos(turn) - left * math.sin(turn)
+        c, s = sensor[2], sensor[3]  # the point seen, along the ray
+        distance += (c * ahead - s * left) * ca + (s * ahead + c * left) * sa
     point[:] = target
     point[3] = 1.0 / max(distance, 1e-3)
 
 
 @compiled
-def foresee(kind, size, mount, pose, target, value, point, H, innovation):  # type: ignore[no-untyped-def]
+def foresee(kind, size, sensor, target, value, point, H, innovation):  # type: ignore[no-untyped-def]
     """Innovation of a sighting, and the Jacobian and point that it is linearised at.
 
     Parameters
     ----------
-    kind, size, mount, pose, target, value
+    kind, size, sensor, target
         As for `expect`.
+    value : (2,) ndarray
     point : (>= size,) ndarray
         Written: the target where it is linearised; elsewhere only `along_the_ray`.
     H : (2, 7) ndarray
@@ -171,8 +182,8 @@ def foresee(kind, size, mount, pose, target, value, point, H, innovation):  # ty
     """
     point[:size] = target
     if size == INVERSE_DEPTH and kind != BEARING:
-        along_the_ray(kind, mount, pose, target, value, point)
-    if not expect(kind, size, mount, pose, point[:size], innovation, H):
+        along_the_ray(kind, sensor, target, value, point)
+    if not expect(kind, size, sensor, point[:size], innovation, H):
         return False
     innovate(kind, value, innovation, innovation)
     return True

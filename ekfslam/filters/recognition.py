@@ -23,7 +23,7 @@ from ekfslam.association.nearest import (
 )
 from ekfslam.compiled import compiled, inlined
 from ekfslam.estimates import Decision
-from ekfslam.filters.measure import BANKED, POINT, locate, moved, rows_of
+from ekfslam.filters.measure import BANKED, POINT, locate, moved, placed, rows_of
 from ekfslam.filters.options import (
     ALLOCATED,
     EUCLIDEAN,
@@ -152,10 +152,13 @@ def verify(state, sightings, i, settings, log):  # type: ignore[no-untyped-def]
         return
     at, size, d = register.offsets[index], register.sizes[index], rows_of(kind)
     point, H, S = np.empty(4), np.empty((2, 7)), np.empty((2, 2))
-    mean, elsewhere, there = slam.mean, slam.points.at, slam.mean[at : at + size]
+    mean, points, there = slam.mean, slam.points.at, slam.mean[at : at + size]
     value, mount, nu = sightings.values[i], sightings.mount[i], log.innovation[i]
-    variant = settings.variant
-    if not foresee_at(variant, mean, elsewhere, pose, at, size, kind, mount, value, point, H, nu):
+    sensor = placed(mount, mean[pose : pose + 3])
+    elsewhere, variant = placed(mount, points[pose : pose + 3]), settings.variant
+    if not foresee_at(
+        variant, mean, points, sensor, elsewhere, at, size, kind, value, point, H, nu
+    ):
         log.decision[i] = REJECTED
         return
     for a in range(d):
@@ -191,9 +194,11 @@ def against(innovation, E, R, d):  # type: ignore[no-untyped-def]
 def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-def]
     """Evidence of a look: candidates, and distances of every observation with each."""
     register, mean, P = state.register, state.slam.mean, state.slam.covariance
-    elsewhere, variant = state.slam.points.at, settings.variant
+    points, variant = state.slam.points.at, settings.variant
     robot, mount, kind = sightings.robot[first], sightings.mount[first], sightings.kind[first]
     pose, d, limits = 3 * robot, rows_of(kind), sightings.limits[first]
+    sensor = placed(mount, mean[pose : pose + 3])
+    elsewhere = placed(mount, points[pose : pose + 3])
     rows = np.empty(last - first, np.int64)
     m, noise = 0, 0.0
     for i in range(first, last):
@@ -206,7 +211,7 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
     candidates = feasible(state.slam, register, robot, mount, limits, noise, bounded)
     count = candidates.size
     distances, logdets = np.full((m, count), np.inf), np.zeros((m, count))
-    points = np.full((m if uses_points(settings.method) else 0, count), np.inf)
+    apart = np.full((m if uses_points(settings.method) else 0, count), np.inf)
     accept, new = np.empty(m), np.empty(m)
     point, H, nu, E = np.empty(4), np.empty((2, 7)), np.empty(2), np.empty((2, 2))
     described = settings.descriptor_variance > 0.0
@@ -221,7 +226,7 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
             i = rows[k]
             value, R = sightings.values[i], sightings.covariance[i]
             if not foresee_at(
-                variant, mean, elsewhere, pose, at, size, kind, mount, value, point, H, nu
+                variant, mean, points, sensor, elsewhere, at, size, kind, value, point, H, nu
             ):
                 continue
             if k == 0 or size > POINT:  # of a point it is the same for all of the look
@@ -236,9 +241,9 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
                     known[0] if known[1] > 0 else np.nan,
                     settings.descriptor_variance * (1.0 + 1.0 / max(known[1], 1.0)),
                 )
-    if points.shape[0] > 0:
-        back_projected(state, sightings, rows, candidates, settings, points)
-    return Evidence(candidates, rows, distances, logdets, points, accept, new)
+    if apart.shape[0] > 0:
+        back_projected(state, sightings, rows, candidates, settings, apart)
+    return Evidence(candidates, rows, distances, logdets, apart, accept, new)
 
 
 @compiled
@@ -318,13 +323,15 @@ def decide_jointly(state, sightings, evidence, settings, choice):  # type: ignor
     Returns whether the search was complete.
     """
     register, mean, P = state.register, state.slam.mean, state.slam.covariance
-    elsewhere, variant = state.slam.points.at, settings.variant
+    points, variant = state.slam.points.at, settings.variant
     distances, candidates, rows = evidence.distances, evidence.candidates, evidence.rows
     m = rows.size
     if m == 0:
         return True
     kind, pose = sightings.kind[rows[0]], 3 * sightings.robot[rows[0]]
-    d = rows_of(kind)
+    mount, d = sightings.mount[rows[0]], rows_of(kind)
+    sensor = placed(mount, mean[pose : pose + 3])
+    elsewhere = placed(mount, points[pose : pose + 3])
     pairs = 0
     for k in range(m):
         for j in range(candidates.size):
@@ -339,9 +346,8 @@ def decide_jointly(state, sightings, evidence, settings, choice):  # type: ignor
                 size = register.sizes[candidates[j]]
                 there, h = mean[at : at + size], H[pairs]
                 nu, value = innovations[2 * pairs : 2 * pairs + 2], sightings.values[i]
-                mount = sightings.mount[i]
                 foresee_at(
-                    variant, mean, elsewhere, pose, at, size, kind, mount, value, point, h, nu
+                    variant, mean, points, sensor, elsewhere, at, size, kind, value, point, h, nu
                 )
                 for a in range(d):
                     nu[a] = moved(nu, H[pairs], there, point, size, a)

@@ -15,7 +15,7 @@ from ekfslam.compiled import compiled
 from ekfslam.estimates import Decision, Linearizations
 from ekfslam.filters.journal import record
 from ekfslam.filters.kernels import append, correct, project, times_transposed
-from ekfslam.filters.measure import POINT, POSE, expect, foresee, innovate, moved
+from ekfslam.filters.measure import POINT, POSE, expect, foresee, innovate, moved, placed
 from ekfslam.filters.upkeep import drop
 from ekfslam.geometry import Array
 from ekfslam.models.landmarks import fix
@@ -225,7 +225,8 @@ def linearise(state, places, seen, point):  # type: ignore[no-untyped-def]
     waiting, mean, expected = state.waiting, state.slam.mean, np.zeros(2)
     for k in range(places.size):
         at, mount = waiting.clones[seen.clone[k]], waiting.mount[places[k]]
-        expect(seen.kind[k], POINT, mount, mean[at : at + POSE], point, expected, seen.H[k])
+        sensor = placed(mount, mean[at : at + POSE])
+        expect(seen.kind[k], POINT, sensor, point, expected, seen.H[k])
         innovate(seen.kind[k], seen.values[k], expected, seen.nu[k])
 
 
@@ -325,7 +326,7 @@ def use_waiting(state, index, settings, journal):  # type: ignore[no-untyped-def
         pose, kind, n = waiting.clones[clone], waiting.kind[w], slam.size[0]
         past, there = slam.mean[pose : pose + POSE], slam.mean[at : at + size]
         value[0] = waiting.value[w]
-        foresee(kind, size, waiting.mount[w], past, there, value, point, H, z)
+        foresee(kind, size, placed(waiting.mount[w], past), there, value, point, H, z)
         R = np.array([[waiting.variance[w], 0.0], [0.0, 0.0]])
         robot, step, row = waiting.robot[clone], waiting.step[clone], waiting.row[w]
         record(journal, OBSERVED, row, robot, step, index, -1, size, d, past, point, H, z, R)

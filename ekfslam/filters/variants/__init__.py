@@ -24,7 +24,7 @@ import numpy as np
 
 from ekfslam.compiled import compiled, inlined
 from ekfslam.filters.kernels import move, shift
-from ekfslam.filters.measure import POINT, POSE, expect, foresee, locate
+from ekfslam.filters.measure import POINT, POSE, expect, foresee, locate, placed
 from ekfslam.filters.variants import fej, ideal, iterated, oc, right_invariant, robocentric
 
 NAMES = ("ekf", "iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
@@ -60,19 +60,24 @@ def propagate(variant, slam, at, delta, Q, k, seen):  # type: ignore[no-untyped-
 
 
 @inlined
-def foresee_at(variant, mean, points, pose, at, size, kind, mount, value, point, H, nu):  # type: ignore[no-untyped-def]
+def foresee_at(variant, mean, points, sensor, elsewhere, at, size, kind, value, point, H, nu):  # type: ignore[no-untyped-def]
     """`ekfslam.filters.measure.foresee`, the Jacobian where, and of the error that, a filter has.
 
     The innovation is at the latest estimate in all of them.
+
+    Parameters
+    ----------
+    sensor, elsewhere : tuple
+        Of `placed`, by the estimate of the pose and by its point of linearisation.
+    at : int
+        Offset of the target.
     """
-    here, there = mean[pose : pose + POSE], mean[at : at + size]
-    if not foresee(kind, size, mount, here, there, value, point, H, nu):
+    if not foresee(kind, size, sensor, mean[at : at + size], value, point, H, nu):
         return False
     if variant == INVARIANT:  # an error of the heading moves robot and landmark as one
         H[0, 2] = H[1, 2] = 0.0
     elif variant in (IDEAL, FEJ, OC):
-        here, there = points[pose : pose + POSE], points[at : at + size]
-        expect(kind, size, mount, here, there, point, H)
+        expect(kind, size, elsewhere, points[at : at + size], point, H)
     return True
 
 
@@ -106,8 +111,8 @@ def begin(variant, slam, kind, mount, pose, value, R, i, target, G, noise):  # t
             at[n + 1] -= points.first[pose + 1]
         elif variant == IDEAL and not np.isnan(points.places[i, 0]):
             at[n : n + 2] = points.places[i]
-            here, there = at[pose : pose + POSE], at[n : n + 2]
-            expect(kind, POINT, mount, here, there, value, np.empty((2, 7)))  # as if seen exactly
+            sensor, unused = placed(mount, at[pose : pose + POSE]), np.empty((2, 7))
+            expect(kind, POINT, sensor, at[n : n + 2], value, unused)  # as if seen exactly
         elsewhere = np.empty(2)
         locate(kind, mount, at[pose : pose + POSE], value, R, elsewhere, G, noise)
         G[0, 2], G[1, 2] = at[pose + 1] - at[n + 1], at[n] - at[pose]

@@ -15,9 +15,9 @@ STILL = 1e-6  # [m, rad]: iterates that differ by less are the same
 
 
 @compiled
-def foresee_again(kind, size, mount, mean, points, pose, at, value, H, nu):  # type: ignore[no-untyped-def]
+def foresee_again(kind, size, elsewhere, mean, points, pose, at, value, H, nu):  # type: ignore[no-untyped-def]
     """Innovation and Jacobian at an iterate, the innovation as seen from the estimate."""
-    expect(kind, size, mount, points[pose : pose + 3], points[at : at + size], nu, H)
+    expect(kind, size, elsewhere, points[at : at + size], nu, H)
     innovate(kind, value, nu, nu)
     for a in range(2):
         for c in range(3):
