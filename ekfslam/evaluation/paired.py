@@ -61,7 +61,7 @@ PAIRS: Mapping[str, str] = schema_of(
 
 
 class _Pair(NamedTuple):
-    """One comparison: the numbers of both on the seeds that both have, in order of seed."""
+    """One comparison: the numbers (n, 2) of both on the seeds that both have, in order of seed."""
 
     scenario: Any
     robot: Any
