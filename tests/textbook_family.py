@@ -17,7 +17,7 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from numpy.linalg import inv, solve
+from numpy.linalg import inv, norm, solve
 
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import Decision, Estimate, Innovations, LandmarkEstimates, Trajectory
@@ -291,11 +291,11 @@ class Iterated(Standard):
     """Each look is corrected by Gauss and Newton; innovations are the predicted ones.
 
     Where the prior is wide the search is slow, or goes to and fro for ever: where it ends is part
-    of the definition.
+    of the definition, and by a length, which is the same in a world that is turned.
     """
 
     name = "iekf"
-    most, still = 20, 1e-10
+    most, still = 20, 1e-6
 
     def correct(self, rows: list[int]) -> tuple[Any, Any]:
         predicted = self.x.copy()
@@ -309,7 +309,7 @@ class Iterated(Standard):
             off[2] = wrapped(off[2])
             step = off + K @ (nu - H @ off)
             self.retract(step)
-            if np.abs(step).max() < self.still:
+            if norm(step) < self.still:
                 break
         self.joseph(K, H, R)
         return first
