@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,7 +73,7 @@ class Association:
         """Observations that are used."""
         return np.flatnonzero((self.landmark >= 0) | self.robots)
 
-    def record(self, entry: Mapping[int, int]) -> Innovations:
+    def record(self, entry: Mapping[int, int], lost: Sequence[int] = ()) -> Innovations:
         """What a smoother made of each observation: it decides, but it has no innovations.
 
         Parameters
@@ -81,11 +81,14 @@ class Association:
         entry : mapping of int to int
             Row at which each landmark of the graph entered it. Rows of this landmark before it
             were kept back until then; a landmark that is not here is not in the graph.
+        lost : sequence of int
+            Rows that were kept back, and could not be used then.
         """
         count = len(self.landmark)
         rows = np.arange(count)
         entered = np.array([entry.get(i, count) for i in self.landmark.tolist()], dtype=np.int64)
         inside = entered < count
+        inside[list(lost)] = False
         decision = np.full(count, Decision.REJECTED, dtype=np.int64)
         decision[inside | self.robots] = Decision.ACCEPTED
         decision[inside & (rows < entered)] = Decision.DELAYED

@@ -122,7 +122,7 @@ class GtsamBatch:
             of_poses = of_points = None
             started = time.perf_counter()
             if self.marginals:
-                of_poses, of_points = covariances.recovered(problem, graph, values)
+                of_poses, of_points = covariances.recovered(problem, graph, values, poses)
                 of_poses = problem.by_robot(of_poses)
         except RuntimeError as failure:
             return Estimate(**common, status=FAILED, message=in_words(failure))

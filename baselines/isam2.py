@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gtsam
 
-from baselines.association import Association
-from baselines.batch import in_words, ready
-from baselines.covariances import recovered
-from baselines.entry import notes, rows_of
+from baselines import covariances, entry
+from baselines.batch import in_words
 from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
-from baselines.stepwise import Arrivals, checked_count, fed
+from baselines.stepwise import Arrivals, checked_count, fed, opened
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
 from ekfslam.registry import Progress
@@ -91,22 +89,7 @@ class GtsamIsam2:
         UnsupportedError
             If the graph cannot be built, see `baselines.landmark_graph`.
         """
-        warm_up(dataset)
-        known = dataset.association_known
-        source = None if known else ready(self.association, dataset)
-        started = time.perf_counter()
-        if source is None:
-            association = Association.known(dataset)
-        else:
-            association = Association.of(source.estimate(dataset))
-        kernel = chosen(self.robust, self.robust_scale)
-        problem = LandmarkGraph(dataset, association, self.odometry_floor, kernel)
-        estimate = Estimate(
-            estimator=self.name,
-            dataset=dataset.name,
-            association=association.name,
-            options=asdict(replace(self, association=str(self.association))),
-        )
+        problem, estimate, started = opened(self, dataset)
         try:
             return self._run(problem, estimate, started, progress)
         except RuntimeError as failure:
@@ -134,12 +117,13 @@ class GtsamIsam2:
         values = isam.calculateEstimate()
         smoothed, (ids, points) = problem.poses_of(values), problem.map_of(values)
         time_total = time.perf_counter() - started - run.time_marginals
-        rows = rows_of(problem, run.entry)
+        rows = entry.rows_of(problem, run.entry)
         graph = problem.graph(rows)
         begin = time.perf_counter()
         of_poses = of_points = None
         if self.marginals:
-            of_poses, of_points = recovered(problem, graph, isam.getLinearizationPoint())
+            there = isam.getLinearizationPoint()
+            of_poses, of_points = covariances.recovered(problem, graph, there, smoothed)
             of_poses = problem.by_robot(of_poses)
         return replace(
             estimate,
@@ -152,5 +136,5 @@ class GtsamIsam2:
             time_marginals=time.perf_counter() - begin + run.time_marginals,
             graph_error=graph.error(values),
             graph_dof=problem.dof(rows),
-            message="; ".join(problem.notes + notes(problem, run.entry)),
+            message="; ".join(problem.notes + entry.notes(problem, run.entry)),
         )

@@ -338,7 +338,7 @@ def test_another_failure_of_gtsam_is_a_row_in_its_words(monkeypatch):
     def fail(*_):
         raise RuntimeError("out of\n  patience")
 
-    monkeypatch.setattr(gtsam, "Marginals", fail)
+    monkeypatch.setattr(gtsam, "LevenbergMarquardtOptimizer", fail)
     estimate = GtsamBatch().estimate(problem(scanner()))
     assert estimate.status == FAILED
     assert estimate.message == "out of patience"
