@@ -19,7 +19,6 @@ from ekfslam.filters.measure import BANKED, POINT, POSE, moved, placed, rows_of
 from ekfslam.filters.options import KNOWN
 from ekfslam.filters.recognition import by_identity
 from ekfslam.filters.variants import (
-    ITERATED,
     OC,
     foresee_at,
     pose_of,
@@ -27,7 +26,7 @@ from ekfslam.filters.variants import (
     retract,
     settle_frame,
 )
-from ekfslam.filters.variants.iterated import MOST, STILL, foresee_again, iterate
+from ekfslam.filters.variants.iterated import foresee_again, iterate
 
 ACCEPTED, REJECTED = int(Decision.ACCEPTED), int(Decision.REJECTED)
 DONE, GROW, INDEFINITE, LOOK = range(4)
@@ -147,11 +146,10 @@ def correct_mapped(slam, register, sightings, first, last, accepted, joint, sett
     d, together = rows_of(kind), accepted if joint else 1
     rows, step = np.empty((d * together, n)), np.empty(n)
     S, z = np.empty((d * together, d * together)), np.empty(d * together)
-    iterations = MOST if variant == ITERATED else 1
     total, dof, start = 0.0, 0, first
     while start < last:
         stop = last if joint else start + 1
-        for iteration in range(iterations):
+        for iteration in range(settings.iterations):
             m = stack(
                 slam,
                 register,
@@ -174,10 +172,10 @@ def correct_mapped(slam, register, sightings, first, last, accepted, joint, sett
             if iteration == 0:
                 total += nis
                 dof += m
-            if variant == ITERATED:
+            if settings.iterations > 1:
                 if iteration == 0:
                     points[:n] = mean[:n]
-                if iterate(mean, points, step, n) < STILL:
+                if iterate(mean, points, step, n) < settings.tolerance:
                     break
         if m > 0:
             retract(variant, mean, step, n, settings.poses)

@@ -6,19 +6,44 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ekfslam.checks import checked_number
 from ekfslam.dataset import Dataset
-from ekfslam.errors import UnsupportedError
+from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.filters import variants
 from ekfslam.filters.ekf import Ekf
+from ekfslam.filters.options import MOST, Settings
 from ekfslam.geometry import Array
 
 
 @dataclass(frozen=True)
 class Iekf(Ekf):
-    """Iterated EKF-SLAM: each correction is linearised again at its result."""
+    """Iterated EKF-SLAM: each correction is linearised again at its result.
 
+    Parameters
+    ----------
+    iterations : int
+        At most, of each correction.
+    tolerance : float
+        Iterates that differ by less, in every coordinate [m, rad], are the same.
+    """
+
+    iterations: int = 20
+    tolerance: float = 1e-6
     name = "iekf"
     variant = variants.ITERATED
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        whole = isinstance(self.iterations, int | np.integer) and self.iterations is not True
+        if not whole or not 1 <= self.iterations <= MOST:
+            raise InputError(f"iterations must be a whole number from 1 on, got {self.iterations}")
+        if not 0 <= checked_number(self.tolerance, "tolerance") < np.inf:
+            raise InputError(f"tolerance must not be negative, got {self.tolerance}")
+
+    def settings(self, association: str, kinds: set[int], landmarks: int, robots: int) -> Settings:
+        """As of `Options`, with the iterations."""
+        plain = super().settings(association, kinds, landmarks, robots)
+        return plain._replace(iterations=int(self.iterations), tolerance=float(self.tolerance))
 
 
 @dataclass(frozen=True)

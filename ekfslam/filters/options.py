@@ -81,6 +81,8 @@ class Settings(NamedTuple):
     robots: int
     poses: int
     variant: int
+    iterations: int
+    tolerance: float
     largest: int
     most: int
 
@@ -292,6 +294,8 @@ class Options:
             # The robocentric filter keeps the pose of the start beside the robot's.
             poses=robots + (self.variant == ROBOCENTRIC),
             variant=self.variant,
+            iterations=1,
+            tolerance=0.0,
             largest=largest,
             most=int(most),
         )

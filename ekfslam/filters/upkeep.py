@@ -15,6 +15,7 @@ from ekfslam.compiled import compiled
 from ekfslam.estimates import Decision, Linearizations
 from ekfslam.filters.kernels import remove, replace
 from ekfslam.filters.measure import INVERSE_DEPTH, POINT, POSE, point_of
+from ekfslam.filters.variants import INVARIANT
 from ekfslam.filters.visibility import SURE, sighted, surely_sees
 from ekfslam.models.landmarks import linearity
 
@@ -141,7 +142,7 @@ def keep_evidence(state, sightings, first, last, settings, log):  # type: ignore
         sightings.mount[first],
         sightings.limits[first],
     )
-    seen = np.zeros(register.used[0], np.bool_)
+    seen, invariant = np.zeros(register.used[0], np.bool_), settings.variant == INVARIANT
     for i in range(first, last):
         if log.landmark[i] >= 0 and log.decision[i] in (ACCEPTED, NEW):
             seen[log.landmark[i]] = True
@@ -151,7 +152,7 @@ def keep_evidence(state, sightings, first, last, settings, log):  # type: ignore
         if seen[index]:
             evidence[index] = min(evidence[index] + 1, settings.forget)
             continue
-        distance, bearing, sigma = sighted(mean, P, offsets[index], pose, mount)
+        distance, bearing, sigma = sighted(mean, P, offsets[index], pose, mount, invariant)
         if surely_sees(distance, bearing, SURE * sigma, limits):
             evidence[index] -= 1
             if evidence[index] <= -settings.forget:

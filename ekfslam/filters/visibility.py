@@ -16,10 +16,12 @@ LARGE = 1000  # landmarks from which the spatial index pays
 
 
 @compiled
-def sighted(mean, P, at, pose, mount):  # type: ignore[no-untyped-def]
+def sighted(mean, P, at, pose, mount, invariant):  # type: ignore[no-untyped-def]
     """Where a sensor should see a point: range, bearing, and one sigma of its place [m].
 
-    The sigma leaves correlations out, and so is cautious.
+    The sigma leaves correlations out, and so is cautious. Not so of right-invariant errors, which
+    grow with the distance from the origin but are nearly the same for robot and landmark: their
+    difference is the error of what is seen from the robot.
 
     Parameters
     ----------
@@ -28,13 +30,18 @@ def sighted(mean, P, at, pose, mount):  # type: ignore[no-untyped-def]
     at, pose : int
         First coordinates of the point and of the robot's pose.
     mount : (3,) ndarray
+    invariant : bool
+        Whether P is of right-invariant errors.
     """
     c, s = math.cos(mean[pose + 2]), math.sin(mean[pose + 2])
     x = mean[at] - mean[pose] - c * mount[0] + s * mount[1]
     y = mean[at + 1] - mean[pose + 1] - s * mount[0] - c * mount[1]
     distance = math.sqrt(x * x + y * y)
     variance = P[at, at] + P[at + 1, at + 1] + P[pose, pose] + P[pose + 1, pose + 1]
-    variance += distance * distance * P[pose + 2, pose + 2]
+    if invariant:
+        variance -= 2.0 * (P[pose, at] + P[pose + 1, at + 1])
+    else:
+        variance += distance * distance * P[pose + 2, pose + 2]
     bearing = wrap(math.atan2(y, x) - mean[pose + 2] - mount[2])
     return distance, bearing, math.sqrt(max(variance, 0.0))
 
@@ -56,7 +63,7 @@ def surely_sees(distance, bearing, slack, limits):  # type: ignore[no-untyped-de
 
 
 @compiled
-def feasible(slam, register, robot, mount, limits, noise, bounded):  # type: ignore[no-untyped-def]
+def feasible(slam, register, robot, mount, limits, noise, invariant):  # type: ignore[no-untyped-def]
     """Register indices of the landmarks that may be visible, ascending.
 
     Inside the view by three sigmas; all directions of open distance. Large maps are not scanned:
@@ -71,12 +78,13 @@ def feasible(slam, register, robot, mount, limits, noise, bounded):  # type: ign
         Of the sensor.
     noise : float
         Standard deviation of a sighting, as a length [m].
-    bounded : bool
-        Whether no landmark's variance grows, which the grid rests on.
+    invariant : bool
+        Whether the covariance is of right-invariant errors. There the variance of a landmark
+        grows, and the grid, which rests on a bound, is not used.
     """
     mean, P, offsets, sizes = slam.mean, slam.covariance, register.offsets, register.sizes
     count, pose = register.used[0], POSE * robot
-    if bounded and count >= LARGE and limits[1] < np.inf:
+    if not invariant and count >= LARGE and limits[1] < np.inf:
         some = in_range(slam, register, pose, mount, limits[1], noise)
     else:
         some = np.arange(count)
@@ -88,7 +96,7 @@ def feasible(slam, register, robot, mount, limits, noise, bounded):  # type: ign
         if at < 0:
             continue
         if sizes[index] == POINT:
-            distance, bearing, sigma = sighted(mean, P, at, pose, mount)
+            distance, bearing, sigma = sighted(mean, P, at, pose, mount, invariant)
             if not may_see(distance, bearing, SURE * (sigma + noise), limits):
                 continue
         found[n] = index

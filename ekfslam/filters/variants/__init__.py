@@ -77,7 +77,8 @@ def foresee_at(variant, mean, points, sensor, elsewhere, at, size, kind, value, 
     if variant == INVARIANT:  # an error of the heading moves robot and landmark as one
         H[0, 2] = H[1, 2] = 0.0
     elif variant in (IDEAL, FEJ, OC):
-        expect(kind, size, elsewhere, points[at : at + size], point, H)
+        unused = np.empty(2)
+        expect(kind, size, elsewhere, points[at : at + size], unused, H)
     return True
 
 

@@ -12,9 +12,6 @@ import math
 from ekfslam.compiled import compiled
 from ekfslam.filters.measure import expect, innovate
 
-MOST = 20  # iterations
-STILL = 1e-6  # [m, rad]: iterates that are no farther apart, of the whole state, are the same
-
 
 @compiled
 def foresee_again(kind, size, elsewhere, mean, points, pose, at, value, H, nu):  # type: ignore[no-untyped-def]
