@@ -324,7 +324,7 @@ class Law(NamedTuple):
         What round-off may come to.
     keep : tuple of str
     broken_by : tuple of str
-        Filters, and mistakes of `textbook_family`, that break it by a hundred times the bound.
+        Filters, and those of `family_mistakes`, that break it by a hundred times the bound.
     """
 
     measure: Callable[[Any, Any], float]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import textbook_family as book
 from family_laws import CASES, LAWS, common_limit, turning
+from family_mistakes import MISTAKES
 from numerics import central_difference
 from problems import camera, problem, scanner
 from textbook import TextbookEkf
@@ -18,7 +19,7 @@ REFERENCE = book.Textbook(book.Standard)
 
 
 def subject(name: str) -> book.Textbook:
-    kinds = book.FAMILY | {kind.__name__: kind for kind in book.MISTAKES}
+    kinds = book.FAMILY | {kind.__name__: kind for kind in MISTAKES}
     return book.Textbook(kinds[name])
 
 
@@ -208,7 +209,7 @@ def test_a_law_is_broken_by_those_who_should(law, name):
 
 def test_every_mistake_breaks_a_law():
     found = {name for law in LAWS.values() for name in law.broken_by}
-    assert found >= {kind.__name__ for kind in book.MISTAKES}
+    assert found >= {kind.__name__ for kind in MISTAKES}
 
 
 def test_the_map_in_the_limit():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import family_mistakes as wrong
 import numpy as np
 import pytest
 import textbook_family as book
@@ -220,7 +221,7 @@ def test_the_whole_ladder_on_a_team():
 
 
 CONSISTENT = [book.Ideal, book.FirstEstimates, book.RightInvariant, book.Robocentric]
-LEARNS = [book.FejAugmentsAtUpdated, book.FejMovesFromUpdated, book.OcForgetsDelta]
+LEARNS = [wrong.FejAugmentsAtUpdated, wrong.FejMovesFromUpdated, wrong.OcForgetsDelta]
 
 
 @pytest.mark.parametrize("name", ["cloister", "loop-15"])
@@ -242,8 +243,8 @@ def test_what_a_filter_makes_of_the_prior_shows(kind):
     [
         (book.Standard, "covariances"),
         (book.ObservabilityConstrained, "covariances"),
-        (book.RiKeepsPrior, "covariances"),
-        (book.OcForgetsDelta, "covariances"),
+        (wrong.RiKeepsPrior, "covariances"),
+        (wrong.OcForgetsDelta, "covariances"),
     ],
 )
 def test_what_is_learnt_standing_still_shows(kind, said):
