@@ -25,6 +25,8 @@ for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 import gtsam
 import numpy as np
 import pandas as pd
+from family import family
+from ratios import at_least, at_most
 from textbook import TextbookEkf
 
 import baselines.batch
@@ -49,7 +51,7 @@ PER_STEP = 5
 def main() -> None:
     """Measure, print, write."""
     describe_machine()
-    rows = [*victoria_park(), *map_sizes(), *association(), *start_up()]
+    rows = [*victoria_park(), *map_sizes(), *association(), *family(), *start_up()]
     columns = ["what", "ours", "other", "unit", "ratio", "bound", "holds"]
     table = pd.DataFrame(rows, columns=columns)
     OUT.parent.mkdir(parents=True, exist_ok=True)
@@ -66,18 +68,6 @@ def describe_machine() -> None:
         cpu = models[0].partition(":")[2].strip() if models else cpu
     packages = ", ".join(f"{p} {version(p)}" for p in ("ekfslam", "gtsam", "numpy", "numba"))
     print(f"{cpu}, {os.cpu_count()} cores, Python {platform.python_version()}, {packages}")
-
-
-def at_least(what: str, ours: float, other: float, unit: str, bound: float) -> list[Any]:
-    """A row whose ratio other / ours must reach a bound."""
-    ratio = other / ours
-    return [what, ours, other, unit, ratio, f">= {bound:g}", ratio >= bound]
-
-
-def at_most(what: str, ours: float, other: float, unit: str, bound: float) -> list[Any]:
-    """A row whose ratio ours / other must stay below a bound."""
-    ratio = ours / other
-    return [what, ours, other, unit, ratio, f"<= {bound:g}", ratio <= bound]
 
 
 # Victoria Park -----------------------------------------------------------------------------------
