@@ -7,6 +7,7 @@ algebra keep to one thread, so that workers do not fight over the cores either.
 from __future__ import annotations
 
 import logging
+import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -32,6 +33,9 @@ SETTINGS = {
     "distributed.scheduler.allowed-failures": LIVES - 1,
     "distributed.scheduler.worker-saturation": 1.0,  # a worker has one unit, and loses no other
     "distributed.worker.multiprocessing-method": "spawn",
+    # A worker that dies is started again. This is for machines that vanish: a worker that is not
+    # back after it, since it has died once more, would be given up for good.
+    "distributed.deploy.lost-worker-timeout": "10000h",
 }
 
 
@@ -88,8 +92,9 @@ def _connected(workers: int, scheduler: str | None) -> Iterator[Client]:
 
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(SETTINGS))
-        cluster = scheduler
-        if cluster is None:
+        cluster: Any = scheduler
+        if scheduler is None:
+            stack.enter_context(_environment_kept())
             cluster = stack.enter_context(
                 LocalCluster(
                     n_workers=workers,
@@ -105,6 +110,18 @@ def _connected(workers: int, scheduler: str | None) -> Iterator[Client]:
         except (OSError, ValueError) as error:
             raise InputError(f"no Dask scheduler at {scheduler}: {error}") from None
         yield stack.enter_context(client)
+
+
+@contextmanager
+def _environment_kept() -> Iterator[None]:
+    """Undo what a cluster sets for its workers in the environment of this process."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
 
 
 def _finished(client: Client, units: Sequence[Unit]) -> Iterator[Done]:

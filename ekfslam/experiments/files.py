@@ -13,6 +13,7 @@ from pathlib import Path
 
 from ekfslam.errors import InputError
 
+SCRATCH = ".unfinished-"  # how folders are called whose files are on their way
 PACKAGES = ("ekfslam", "gtsam", "numpy", "scipy", "pandas", "numba", "matplotlib")
 
 
@@ -60,7 +61,7 @@ def write_together(folder: str | Path, write: Callable[[Path], None]) -> list[Pa
     done = False
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
+        scratch = Path(tempfile.mkdtemp(prefix=SCRATCH, dir=folder))
         write(scratch)
         written = sorted(scratch.iterdir())
         for path in written:

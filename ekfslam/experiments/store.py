@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import shutil
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from io import BytesIO
@@ -25,6 +26,7 @@ import pyarrow.parquet as pq
 from ekfslam.errors import FileFormatError, InputError
 from ekfslam.evaluation.schema import REAL, TEXT, WHOLE
 from ekfslam.experiments.cells import SCHEMAS, Unit, shaped
+from ekfslam.experiments.files import SCRATCH
 from ekfslam.storage import atomic_write
 
 try:
@@ -99,6 +101,8 @@ class Store:
             os.close(handle)
 
     def _tidy(self) -> None:
+        for scratch in self.folder.glob(f"{SCRATCH}*"):
+            shutil.rmtree(scratch, ignore_errors=True)
         done = set(self.names())
         for table in TABLES:
             for path in (self.folder / table).iterdir():
