@@ -6,7 +6,8 @@ takes about as long as an elimination. Here gtsam linearises the graph, and of t
 `baselines.selected_inverse`.
 
 A constraint has no finite weight. So what it fixes is not among the unknowns: a start that is known
-does not move, and the pose of a displaced sensor moves as the robot's does.
+does not move, and the pose of a displaced sensor moves as the robot's does. All that can move is
+then free of constraints, and their rows come to nothing.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def recovered(
     ----------
     problem : LandmarkGraph
     graph : gtsam.NonlinearFactorGraph
-        Of the problem, in its order of factors.
+        Of the problem.
     values : gtsam.Values
         Where it is linearised.
     estimates : (R, K + 1, 3) ndarray
@@ -59,14 +60,14 @@ def recovered(
     own, sensor, landmark = (
         keys.has_letter(variables, letter) for letter in (keys.POSE, keys.SENSOR, keys.LANDMARK)
     )
-    sizes = np.where(landmark & ~np.array(problem.points_3d), 2, 3)
+    sizes = np.where(landmark & (not problem.points_3d), 2, 3)
     known = keys.pose_key(np.zeros(1, dtype=np.int64), np.flatnonzero(problem.known_starts))
     unknown = ~sensor & ~np.isin(variables, known)
     carrier = np.searchsorted(variables, keys.carrier(variables[sensor]))
     poses = np.zeros((len(variables), 3))
     poses[own | sensor] = gtsam.utilities.extractPose2(values)
     motion = _motion(sizes, unknown, np.flatnonzero(sensor), carrier, poses)
-    J = _jacobian(graph.linearize(values), problem, int(sensor.sum()), motion.shape[0]) @ motion
+    J = _jacobian(graph.linearize(values), motion.shape[0]) @ motion
     rank = _ranks(graph, variables)
     np.maximum.at(rank, carrier, rank[sensor])
     try:
@@ -80,18 +81,13 @@ def recovered(
     return geo.body_to_additive(estimates, bodies), blocks[landmark, :2, :2]
 
 
-def _jacobian(
-    linear: gtsam.GaussianFactorGraph, problem: LandmarkGraph, ties: int, columns: int
-) -> csr_array:
-    """Whitened Jacobian of all factors but the constraints, by the keys of variables."""
+def _jacobian(linear: gtsam.GaussianFactorGraph, columns: int) -> csr_array:
+    """Whitened Jacobian, with columns by the keys of variables; constraints have weight 1."""
     row, column, entry = linear.sparseJacobian_()
     row, column = row.astype(np.int64) - 1, column.astype(np.int64) - 1
-    rows = int(row.max()) + 1
-    keep = np.ones(rows, dtype=bool)
-    keep[: 3 * len(problem.known_starts)] = ~np.repeat(problem.known_starts, 3)
-    keep[rows - 3 * ties :] = False
-    kept = keep[row] & (column < columns)  # behind the columns is the right hand side
-    return csr_array((entry[kept], (row[kept], column[kept])), shape=(rows, columns))
+    kept = column < columns  # behind them is the right hand side
+    shape = int(row.max()) + 1, columns
+    return csr_array((entry[kept], (row[kept], column[kept])), shape=shape)
 
 
 def _motion(
@@ -110,19 +106,14 @@ def _motion(
     adjoint[:, :2, 2] = -geo.perpendicular(frames[:, :2])
     moving = unknown[carrier]
     adjoint, sensor, carrier = adjoint[moving], sensor[moving], carrier[moving]
-    i, j = np.arange(3)[:, None], np.arange(3)
-    rows = (first[sensor, None, None] + i + 0 * j).ravel()
-    columns = column[first[carrier, None, None] + 0 * i + j].ravel()
-    return csr_array(
-        (
-            np.concatenate([np.ones(len(coordinates)), adjoint.ravel()]),
-            (
-                np.concatenate([coordinates, rows]),
-                np.concatenate([column[coordinates], columns]),
-            ),
-        ),
-        shape=(len(column), len(coordinates)),
+    rows, columns = np.broadcast_arrays(
+        first[sensor, None, None] + np.arange(3)[:, None],
+        column[first[carrier], None, None] + np.arange(3),
     )
+    entries = np.concatenate([np.ones(len(coordinates)), adjoint.ravel()])
+    rows = np.concatenate([coordinates, rows.ravel()])
+    columns = np.concatenate([column[coordinates], columns.ravel()])
+    return csr_array((entries, (rows, columns)), shape=(len(column), len(coordinates)))
 
 
 def _ranks(graph: gtsam.NonlinearFactorGraph, variables: np.ndarray) -> np.ndarray:

@@ -25,6 +25,7 @@ for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 import gtsam
 import numpy as np
 import pandas as pd
+from covariance_recovery import recovery
 from family import family
 from ratios import at_least, at_most
 from textbook import TextbookEkf
@@ -51,7 +52,7 @@ PER_STEP = 5
 def main() -> None:
     """Measure, print, write."""
     describe_machine()
-    rows = [*victoria_park(), *map_sizes(), *association(), *family(), *start_up()]
+    rows = [*victoria_park(), *covariances(), *map_sizes(), *association(), *family(), *start_up()]
     columns = ["what", "ours", "other", "unit", "ratio", "bound", "holds"]
     table = pd.DataFrame(rows, columns=columns)
     OUT.parent.mkdir(parents=True, exist_ok=True)
@@ -115,6 +116,11 @@ def inside_gtsam(
     finally:
         setattr(gtsam, name, original)
     return total, spent
+
+
+def covariances() -> list[list[Any]]:
+    """All covariances of the batch smoother against its optimisation."""
+    return [at_most(what, ours, other, "s", 1.0) for what, ours, other in recovery()]
 
 
 # Map sizes ---------------------------------------------------------------------------------------
