@@ -304,3 +304,10 @@ def test_consistency_is_asked_of_filters_alone():
     recorded = replace(dataset, true_map=None)
     with pytest.raises(UnsupportedError, match="truth"):
         climb(gauge.standing_still, "loop-15", dataset=recorded)
+
+
+def test_a_smoother_that_tells_no_innovations_is_not_asked_for_them():
+    report = check("gtsam-isam2", "cloister")
+    last = report.rungs[-1]
+    assert (last.number, last.outcome) == (7, "does not apply")
+    assert "innovations" in last.detail

@@ -97,9 +97,11 @@ def gauge(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -> Mea
     if len(dataset.robots) > 1:
         raise UnsupportedError("needs one robot: a team has no prior of its common frame")
     white = []
-    for covariance in (TIGHT, LOOSE):
+    for covariance in (LOOSE, TIGHT):
         robot = replace(dataset.robot, prior=Prior(dataset.prior.mean, covariance))
         _, met = _filtered(subject, replace(dataset, robots=(robot,)))
+        if not np.isfinite(met.innovation).any():
+            raise UnsupportedError("needs a filter: one that tells its innovations")
         white.append(_whitened(met))
     used = [np.isfinite(each) for each in white]
     if (used[0] != used[1]).any():
