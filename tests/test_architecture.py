@@ -48,6 +48,8 @@ LIBRARIES = {
     "numba": ("ekfslam.compiled",),
     "typer": ("ekfslam.cli",),
     "rich": ("ekfslam.cli",),
+    "distributed": ("ekfslam.experiments.cluster",),
+    "pyarrow": ("ekfslam.experiments.store",),
 }
 
 # Figures judge with the intervals that the tables judge with: the one step aside.

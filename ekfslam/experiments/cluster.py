@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -103,6 +104,7 @@ def _connected(workers: int, scheduler: str | None) -> Iterator[Client]:
                     memory_limit=0,  # a matter for the system: nothing is kept on workers
                     dashboard_address="127.0.0.1:0",
                     silence_logs=logging.CRITICAL,
+                    preload=__name__,
                 )
             )
         try:
@@ -110,6 +112,11 @@ def _connected(workers: int, scheduler: str | None) -> Iterator[Client]:
         except (OSError, ValueError) as error:
             raise InputError(f"no Dask scheduler at {scheduler}: {error}") from None
         yield stack.enter_context(client)
+
+
+def dask_setup(worker: Any) -> None:
+    """Leave Ctrl-C to the process that the workers are of; Dask calls this on each of them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager

@@ -6,8 +6,6 @@ import json
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +26,6 @@ if TYPE_CHECKING:
 EXPORTS = ("runs", "summary", "nees_over_time", "pairs", "timings")
 # The same text for each of a million steps stays on disk.
 LEFT_OUT = {"runs": (), "steps": ("campaign", "versions"), "timings": ()}
-PLOTS = "ekfslam.plots.campaign"
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +95,9 @@ class CampaignResults:
 
     def figures(self) -> dict[str, Figure]:
         """Figures by the stem of their files."""
-        return import_module(PLOTS).plot_campaign(
+        from ekfslam.plots.campaign import plot_campaign
+
+        return plot_campaign(
             summary=self.summary,
             over_time=self.nees_over_time,
             runs=self.runs,
@@ -130,7 +129,7 @@ class CampaignResults:
     def _write(self, folder: Path, figures: bool) -> None:
         for name in EXPORTS:
             getattr(self, name).to_csv(folder / f"{name}.csv", index=False)
-        if figures and find_spec(PLOTS):
+        if figures:
             from ekfslam.plots import save
 
             for stem, figure in self.figures().items():
