@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from ekfslam import plots
 from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.evaluation import tables
-from ekfslam.plots.style import LOOKS, METHODS, TRUTH
+from ekfslam.plots.style import TRUTH
 
 STEPS = 60
 RUN = {"dataset": "ring", "seed": 3, "robot": "robot"}
@@ -347,28 +347,6 @@ def test_an_estimator_has_one_colour_in_every_figure(figures):
             to_hex(line(figures["times"].axes[0], estimator).get_color()),
         }
         assert colors == {plots.look(estimator).color.lower()}
-
-
-def test_looks_differ_and_do_not_depend_on_the_process():
-    assert len({look.color for look in LOOKS.values()}) == len(LOOKS)
-    assert len({look.linestyle for look in LOOKS.values()}) == len(LOOKS)
-    # Python's own hash of a string changes from one process to the next.
-    assert plots.look("fastslam") == ("#D55E00", "*", ":")
-    assert plots.look("fej-ekf") == ("#56B4E9", "v", "--")
-    taken = {look.color for look in LOOKS.values()}
-    assert not {plots.look(f"filter-{k}").color for k in range(50)} & taken
-
-
-def test_methods_of_association_have_looks_that_can_be_told_apart():
-    looks = {name: plots.look(f"ekf-{name}") for name in METHODS}
-    assert looks == dict(METHODS)
-    assert plots.look("ekf-known").color == plots.look("ekf").color  # the same filter
-    assert len({(look.color, look.linestyle) for look in looks.values()}) == len(METHODS)
-    assert len({look.marker for look in looks.values()}) == len(METHODS)
-    compared = ["known", "nearest", "joint", "global", "maximum-likelihood", "euclidean"]
-    assert len({looks[name].color for name in compared}) == len(compared)
-    assert plots.look("ekf-jointly") not in looks.values()
-    assert plots.look("joint") not in looks.values()
 
 
 @pytest.mark.parametrize("name", NAMES)

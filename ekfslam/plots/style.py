@@ -57,14 +57,23 @@ class Look(NamedTuple):
 
 
 # Colours that the colour-blind tell apart (Okabe and Ito 2008); their black is for the truth and
-# their yellow too faint on white.
+# their yellow too faint on white. The estimators are more than there are such colours: the others
+# are of Tol's muted scheme (2021), and those that come close to one another differ in the line.
 _BLUE, _GREEN, _ORANGE = "#0072B2", "#009E73", "#E69F00"
 _VERMILLION, _PURPLE, _SKY = "#D55E00", "#CC79A7", "#56B4E9"
+_WINE, _INDIGO, _OLIVE = "#882255", "#332288", "#999933"
 
 LOOKS: Mapping[str, Look] = {
     "ekf": Look(_BLUE, "o", "-"),
+    "iekf": Look(_SKY, "h", "--"),
+    "ekf-ideal": Look("#595959", "*", ":"),
+    "ekf-fej": Look(_PURPLE, "v", "-."),
+    "ekf-oc": Look(_WINE, "D", "--"),
+    "ekf-ri": Look(_VERMILLION, "P", "-"),
+    "ekf-robocentric": Look(_OLIVE, "X", ":"),
     "gtsam-batch": Look(_GREEN, "s", "--"),
     "gtsam-isam2": Look(_ORANGE, "^", "-."),
+    "gtsam-fixed-lag": Look(_INDIGO, "<", "-."),
     "dead-reckoning": Look("#999999", "x", ":"),
 }
 """Estimators that come with the package."""
@@ -86,7 +95,7 @@ a method that is a form of another one shares its colour."""
 _OTHERS = tuple(
     Look(color, marker, linestyle)
     for (marker, linestyle), color in product(
-        [("D", "-"), ("v", "--"), ("P", "-."), ("*", ":")], [_VERMILLION, _PURPLE, _SKY]
+        [("d", "-"), (">", "--"), ("p", "-."), ("H", ":")], ["#44AA99", "#AA4499", "#661100"]
     )
 )
 
@@ -104,7 +113,7 @@ def look(estimator: str) -> Look:
         its own that depends on the name alone.
     """
     method = _METHOD.fullmatch(estimator)
-    known = METHODS.get(method[1] or method[2]) if method else LOOKS.get(estimator)
+    known = LOOKS.get(estimator) or (METHODS.get(method[1] or method[2]) if method else None)
     return known or _OTHERS[zlib.crc32(estimator.encode()) % len(_OTHERS)]
 
 
