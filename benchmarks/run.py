@@ -25,6 +25,7 @@ for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 import gtsam
 import numpy as np
 import pandas as pd
+from campaigns import campaigns
 from covariance_recovery import recovery
 from family import family
 from ratios import at_least, at_most
@@ -52,7 +53,8 @@ PER_STEP = 5
 def main() -> None:
     """Measure, print, write."""
     describe_machine()
-    rows = [*victoria_park(), *covariances(), *map_sizes(), *association(), *family(), *start_up()]
+    rows = [*victoria_park(), *covariances(), *map_sizes(), *association(), *family()]
+    rows += [*campaigns(), *start_up()]
     columns = ["what", "ours", "other", "unit", "ratio", "bound", "holds"]
     table = pd.DataFrame(rows, columns=columns)
     OUT.parent.mkdir(parents=True, exist_ok=True)
