@@ -174,6 +174,17 @@ def test_importing_costs_no_cluster():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_an_estimator_that_workers_do_not_have_is_told_and_no_row(tmp_path, monkeypatch):
+    """It was there when the campaign was read, but is not where the work is done."""
+    campaign = load_campaign(SMALL)
+    unit = campaign.units({})[0]._replace(estimators={"efk": "efk"})
+    monkeypatch.setattr(type(campaign), "units", lambda *_: [unit, unit])
+    for workers in (1, 2):
+        with pytest.raises(InputError, match="unknown estimator 'efk'; did you mean ekf"):
+            run_campaign(campaign, tmp_path, workers=workers)
+    assert read_campaign(tmp_path).cells == (0, 12)
+
+
 def test_no_scheduler_at_the_address(tmp_path, monkeypatch):
     monkeypatch.setattr("ekfslam.experiments.cluster.PATIENCE", "0.3s")
     for address in ("tcp://127.0.0.1:9", "nonsense"):

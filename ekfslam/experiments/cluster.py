@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
-from ekfslam.errors import InputError
+from ekfslam.errors import EkfslamError, InputError
 from ekfslam.experiments.cells import Unit, failed, work
 from ekfslam.experiments.store import packed
 from ekfslam.registry import resolve
@@ -80,9 +80,12 @@ def alone(unit: Unit) -> dict[str, bytes]:
 
 @cache
 def _load(estimators: tuple[str, ...]) -> None:
-    """Load the libraries whose threads are to be told."""
+    """Load the libraries whose threads are to be told, where the work is done."""
     for text in estimators:
-        resolve(text)
+        try:
+            resolve(text)
+        except EkfslamError as error:  # as one that can travel back from a worker
+            raise InputError(str(error)) from None
 
 
 @contextmanager
