@@ -98,6 +98,13 @@ def test_a_reference_gives_gaps_whether_or_not_it_takes_part(tmp_path):
     assert alone["estimator"].unique().tolist() == ["ekf"]
 
 
+def test_of_an_estimator_with_two_series_both_are_compared(tmp_path):
+    document = SMALL | {"seeds": 1, "estimators": ["ekf", "gtsam-isam2"]}
+    pairs = run_campaign(document, tmp_path).pairs
+    assert set(pairs["a"]) == {"gtsam-isam2 (online)", "gtsam-isam2 (smoothed)"}
+    assert set(pairs["b"]) == {"ekf"}
+
+
 def test_failures_are_rows_and_stop_nobody(tmp_path):
     names = ["campaigns:Broken", "campaigns:Refusing", "dead-reckoning"]
     document = SMALL | {"estimators": names, "compare": {"baseline": "Broken"}}
