@@ -58,13 +58,14 @@ def plot_campaign(
         not fit on a page goes on in ``...-2`` and so on.
     """
     title = str(config["campaign"])
+    found = looks(config["estimators"])
     kept = _without_first_steps(over_time, summary)
     return (
-        plot_nees_over_time(kept, title)
-        | plot_run_means(runs, summary, title)
-        | plot_errors_over_time(kept, title)
-        | plot_pairs(pairs, title)
-        | plot_sweeps(summary, config)
+        plot_nees_over_time(kept, title, found)
+        | plot_run_means(runs, summary, title, found)
+        | plot_errors_over_time(kept, title, found)
+        | plot_pairs(pairs, title, found)
+        | plot_sweeps(summary, config, found)
     )
 
 
@@ -78,7 +79,9 @@ def _without_first_steps(over_time: pd.DataFrame, summary: pd.DataFrame) -> pd.D
 # Over time ---------------------------------------------------------------------------------------
 
 
-def plot_nees_over_time(over_time: pd.DataFrame, title: str = "") -> dict[str, Figure]:
+def plot_nees_over_time(
+    over_time: pd.DataFrame, title: str, found: Mapping[str, Look]
+) -> dict[str, Figure]:
     """Mean NEES of the pose over the runs at each step, in both coordinates.
 
     The band is where it should be: the two-sided interval for the mean of N runs at one step,
@@ -91,6 +94,8 @@ def plot_nees_over_time(over_time: pd.DataFrame, title: str = "") -> dict[str, F
         Of `ekfslam.evaluation.nees_over_time`.
     title : str
         Of the campaign.
+    found : dict of Look
+        Looks of the estimators by name.
 
     Returns
     -------
@@ -98,7 +103,7 @@ def plot_nees_over_time(over_time: pd.DataFrame, title: str = "") -> dict[str, F
     """
     columns = ("nees_mean", "nees_invariant_mean")
     rows = rows_of(over_time, *columns)
-    found, height = looks(over_time["estimator"].astype(str)), _height(rows)
+    height = _height(rows)
 
     def draw(page: list[Row]) -> Figure:
         top = f"{title}: NEES of the pose at each step, mean over the runs"
@@ -123,7 +128,9 @@ def plot_nees_over_time(over_time: pd.DataFrame, title: str = "") -> dict[str, F
     return numbered("nees-over-time", map(draw, paged(rows, lambda row: height)))
 
 
-def plot_errors_over_time(over_time: pd.DataFrame, title: str = "") -> dict[str, Figure]:
+def plot_errors_over_time(
+    over_time: pd.DataFrame, title: str, found: Mapping[str, Look]
+) -> dict[str, Figure]:
     """Root mean square errors over the runs at each step, and what the estimators claim.
 
     Errors are smaller than claims or larger: panels of a pair have one scale. An estimator that
@@ -135,6 +142,8 @@ def plot_errors_over_time(over_time: pd.DataFrame, title: str = "") -> dict[str,
         Of `ekfslam.evaluation.nees_over_time`.
     title : str
         Of the campaign.
+    found : dict of Look
+        Looks of the estimators by name.
 
     Returns
     -------
@@ -144,7 +153,7 @@ def plot_errors_over_time(over_time: pd.DataFrame, title: str = "") -> dict[str,
     labels = ("rms error [m]", "claimed σ [m]", "rms error [deg]", "claimed σ [deg]")
     degrees = {name: np.degrees(numbers(over_time, name)) for name in columns[2:]}
     rows = rows_of(over_time.assign(**degrees), "rms_position_m", "rms_heading_rad")
-    found, height = looks(over_time["estimator"].astype(str)), _height(rows)
+    height = _height(rows)
 
     def draw(page: list[Row]) -> Figure:
         top = f"{title}: position and heading at each step, root mean squares over the runs"

@@ -15,12 +15,12 @@ from matplotlib.ticker import NullLocator, SymmetricalLogLocator
 
 from ekfslam.plots.rows import numbers, typical
 from ekfslam.plots.sheets import Row, add_legend, name_lines, numbered, paged, sheet, text_height
-from ekfslam.plots.style import QUIET, TRUTH, Look, looks
+from ekfslam.plots.style import QUIET, TRUTH, Look
 
 _ABREAST = 2  # metrics that have room beside each other
 
 
-def plot_pairs(pairs: pd.DataFrame, title: str = "") -> dict[str, Figure]:
+def plot_pairs(pairs: pd.DataFrame, title: str, found: Mapping[str, Look]) -> dict[str, Figure]:
     """Mean differences of estimators on the same seeds, with their intervals.
 
     A difference is filled where it is seen: where the p adjusted for all comparisons says so, see
@@ -33,13 +33,14 @@ def plot_pairs(pairs: pd.DataFrame, title: str = "") -> dict[str, Figure]:
         Of `ekfslam.evaluation.compare_pairs`.
     title : str
         Of the campaign.
+    found : dict of Look
+        Looks of the estimators by name.
 
     Returns
     -------
     dict of Figure
     """
     pairs = pairs[np.isfinite(numbers(pairs, "mean_difference"))]
-    found = looks(map(_competitor, [*pairs["a"], *pairs["b"]]))
     names = list(pairs["metric"].unique())
     figures = []
     for metrics in (names[i : i + _ABREAST] for i in range(0, len(names), _ABREAST)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,13 +27,15 @@ from ekfslam.plots.sheets import (
     sheet,
     text_height,
 )
-from ekfslam.plots.style import QUIET, TRUTH, looks
+from ekfslam.plots.style import QUIET, TRUTH, Look
 
 _EXPECTED = 3.0  # NEES of a pose
 _COORDINATES = ("(x, y, θ)", "invariant")
 
 
-def plot_run_means(runs: pd.DataFrame, summary: pd.DataFrame, title: str = "") -> dict[str, Figure]:
+def plot_run_means(
+    runs: pd.DataFrame, summary: pd.DataFrame, title: str, found: Mapping[str, Look]
+) -> dict[str, Figure]:
     """Mean NEES along each run: quartiles, tails, median and mean, and the share that diverged.
 
     No interval is drawn. The NEES along one run is almost one sample, so that even run means of a
@@ -47,13 +49,14 @@ def plot_run_means(runs: pd.DataFrame, summary: pd.DataFrame, title: str = "") -
         Of `ekfslam.evaluation.summarise`.
     title : str
         Of the campaign.
+    found : dict of Look
+        Looks of the estimators by name.
 
     Returns
     -------
     dict of Figure
     """
     columns = ("nees_pose_mean_kept", "nees_pose_invariant_mean_kept")
-    found = looks(runs["estimator"].astype(str))
     group = ["scenario", "estimator", "series", "robot"]
     counts = summary.set_index(group)[["diverged", "runs"]]
 
@@ -84,7 +87,7 @@ def plot_run_means(runs: pd.DataFrame, summary: pd.DataFrame, title: str = "") -
 
 
 def _draw_box(panel: Axes, values: Array, place: int, color: str) -> None:
-    values = np.minimum(values[np.isfinite(values)], LARGEST)
+    values = values[np.isfinite(values)]
     if not len(values):
         return
     low, first, median, third, high = np.quantile(values, [0.05, 0.25, 0.5, 0.75, 0.95])

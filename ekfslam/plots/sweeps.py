@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from ekfslam.geometry import Array
 from ekfslam.plots.rows import numbers
 from ekfslam.plots.sheets import LARGEST, Row, add_legend, numbered, rows_of, scale, sheet
-from ekfslam.plots.style import TRUTH, Look, looks
+from ekfslam.plots.style import TRUTH, Look
 
 _DODGE = 0.03  # how far aside of each other estimators are drawn in all, as a share of the abscissa
 
@@ -55,7 +55,9 @@ class _Sweep(NamedTuple):
     words: list[str] | None  # at the places, if they are no numbers
 
 
-def plot_sweeps(summary: pd.DataFrame, config: Mapping[str, Any]) -> dict[str, Figure]:
+def plot_sweeps(
+    summary: pd.DataFrame, config: Mapping[str, Any], found: Mapping[str, Look]
+) -> dict[str, Figure]:
     """What estimators reach against a swept value, a figure per sweep and series.
 
     NEES is the mean over the runs of the mean along each. Bars are one standard error over the
@@ -69,13 +71,14 @@ def plot_sweeps(summary: pd.DataFrame, config: Mapping[str, Any]) -> dict[str, F
         Of `ekfslam.evaluation.summarise`.
     config : mapping
         Of the campaign, with what was swept.
+    found : dict of Look
+        Looks of the estimators by name.
 
     Returns
     -------
     dict of Figure
         ``sweep``, ``sweep-2`` and so on; none if nothing was swept.
     """
-    found = looks(summary["estimator"].astype(str))
     figures = []
     for sweep in _sweeps(config):
         rows = summary[summary["scenario"].isin(list(sweep.places))]
@@ -143,7 +146,7 @@ def _draw(row: Row, sweep: _Sweep, found: Mapping[str, Look]) -> Figure:
             panel.tick_params(labelbottom=True)
             panel.set_xlabel(sweep.abscissa)
             if sweep.words is not None:
-                panel.set_xticks(places, sweep.words)
+                panel.set_xticks(places, sweep.words, rotation=20, ha="right")
         figure = axes[0, 0].figure
         add_legend(figure, row.estimators, found)
     return figure
