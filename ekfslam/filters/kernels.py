@@ -209,14 +209,24 @@ def cholesky(S, m):  # type: ignore[no-untyped-def]
 
 @compiled
 def whiten(L, rows, m, n):  # type: ignore[no-untyped-def]
-    """Rows ``L^-1 rows`` in place (m x n) by forward substitution."""
+    """Rows ``L^-1 rows`` in place (m x n) by forward substitution.
+
+    The rows above enter four at a time, to read and write each row less often.
+    """
     for i in range(m):
         row = rows[i, :n]
-        for k in range(i):
-            factor = L[i, k]
-            above = rows[k, :n]
+        k = 0
+        while k + 4 <= i:
+            w0, w1, w2, w3 = rows[k, :n], rows[k + 1, :n], rows[k + 2, :n], rows[k + 3, :n]
+            a0, a1, a2, a3 = L[i, k], L[i, k + 1], L[i, k + 2], L[i, k + 3]
+            for j in range(row.size):
+                row[j] -= a0 * w0[j] + a1 * w1[j] + a2 * w2[j] + a3 * w3[j]
+            k += 4
+        while k < i:
+            factor, above = L[i, k], rows[k, :n]
             for j in range(row.size):
                 row[j] -= factor * above[j]
+            k += 1
         inverse = 1.0 / L[i, i]
         for j in range(row.size):
             row[j] *= inverse
