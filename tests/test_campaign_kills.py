@@ -32,7 +32,12 @@ def finished(tmp_path_factory):
 
 # A worker ---------------------------------------------------------------------------------------
 
-DYING = SMALL | {"estimators": ["dead-reckoning", "campaigns:Deadly"], "compare": {}}
+DYING = {
+    "name": "dying",
+    "seeds": 4,
+    "estimators": ["dead-reckoning", "campaigns:Deadly"],
+    "scenarios": [{"name": "loop-15", "set": {"path.repeat": 12}}],
+}
 
 
 @pytest.fixture
@@ -50,7 +55,7 @@ def test_cells_of_a_worker_that_dies_run_again(undying, tmp_path):
     run_campaign(DYING, tmp_path / "out", workers=2)
     assert tables(tmp_path / "out") == undying
     runs = Path("runs.log").read_text().split()
-    assert runs.count("1") == 3  # of two scenarios, one twice
+    assert runs.count("1") == 2
     assert set(read_campaign(tmp_path / "out").runs["status"]) == {"ok"}
 
 
@@ -60,12 +65,10 @@ def test_a_cell_that_kills_every_worker_is_a_row_and_harms_no_other(undying, tmp
     monkeypatch.setitem(cluster.SETTINGS, "distributed.scheduler.allowed-failures", 1)
     runs = run_campaign(document, tmp_path / "out", workers=2).runs
     failed = runs[runs["status"] == "failed"]
-    assert failed[["seed", "estimator"]].drop_duplicates().to_numpy().tolist() == [
-        [1, "Deadly(always=True)"]
-    ]
+    assert failed[["seed", "estimator"]].to_numpy().tolist() == [[1, "Deadly(always=True)"]]
     assert failed["message"].str.contains("the worker died").all()
-    assert len(failed) == 2
-    assert len(runs) == 12
+    assert len(failed) == 1
+    assert len(runs) == 8
     others = runs[runs["estimator"] == "dead-reckoning"].reset_index(drop=True)
     before = read_campaign(tmp_path / "undying").runs
     before = before[before["estimator"] == "dead-reckoning"].reset_index(drop=True)
@@ -119,7 +122,7 @@ def go_on(folder):
     assert not leftovers, leftovers
 
 ends = []
-for moment in range(1, 99):
+for moment in range(1, 99, 2):  # a unit takes nine calls: two of them come to each
     folder = Path(f"at-{moment}")
     ends.append(forked(lambda: run_until(moment, folder)))
     assert forked(lambda: go_on(folder)) == 0
@@ -142,10 +145,10 @@ def test_killed_at_any_moment_of_its_writing_it_goes_on(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     ends = json.loads(done.stdout)
-    assert len(ends) > 15
+    assert len(ends) > 8
     assert ends == [signal.SIGKILL] * (len(ends) - 1) + [0]
     run_campaign(TINY, tmp_path / "whole")
-    for moment in range(1, len(ends)):
+    for moment in range(1, 2 * len(ends), 2):
         assert files(tmp_path / f"at-{moment}") == files(tmp_path / "whole"), moment
 
 
@@ -177,7 +180,7 @@ def test_killed_from_outside_with_its_workers_at_work(tmp_path):
     assert files(tmp_path / "out") == files(tmp_path / "whole")
 
 
-def until(happened, patience=60.0):
+def until(happened, patience=300.0):
     begin = time.monotonic()
     while not happened():
         assert time.monotonic() < begin + patience, "it never happened"
