@@ -293,7 +293,7 @@ def test_pairs_have_their_interval_and_are_filled_where_a_difference_is_seen(tab
             axes = figure.axes[2 * row + column]
             mine = pairs[(pairs["scenario"] == label(value)) & (pairs["metric"] == metric)].iloc[0]
             (container,) = axes.containers
-            assert_allclose(container.lines[0].get_xdata(), mine["mean_difference"])
+            assert_allclose(container.lines[0].get_xdata().astype(float), mine["mean_difference"])
             ends = container.lines[2][0].get_segments()[0][:, 0]
             mean, half = float(mine["mean_difference"]), float(mine["half_width"])
             assert_allclose(ends, [mean - half, mean + half])
