@@ -263,7 +263,7 @@ def test_a_run_without_a_finite_nees_is_counted_and_spoils_nothing(tables):
     runs.loc[first, ["nees_pose_mean_kept", "nees_pose_invariant_mean_kept"]] = np.nan
     runs.loc[first, "status"] = "diverged"
     second = (runs["estimator"] == "ekf-ri") & (runs["seed"] == 4)
-    runs.loc[second, "nees_pose_mean_kept"] = 1e300
+    runs.loc[second, "nees_pose_mean_kept"] = 1e30
     (figure,) = plot_run_means(runs, summarise(runs), "trial", LOOKS).values()
     assert figure.axes[1].texts[1].get_text() == "2 of 30"
     assert figure.axes[0].get_xlim()[1] < 2e6
