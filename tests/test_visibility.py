@@ -10,6 +10,7 @@ from ekfslam.dataset import Prior
 from ekfslam.filters import visibility
 from ekfslam.filters.arrays import Register
 from ekfslam.filters.gaussian_map import GaussianMap
+from ekfslam.filters.variants import EKF
 
 MOUNT = np.array([0.7, -0.3, 0.4])
 VIEWS = [
@@ -74,7 +75,7 @@ def test_feasible_is_brute_force(count, rays, heading, limits, rng):
     """From a thousand landmarks on by a grid, of which the answer must not depend."""
     slam, register = a_map(rng, count, heading, rays)
     for robot in (0, 1):
-        found = visibility.feasible(slam.arrays, register, robot, MOUNT, limits, 0.1, False)
+        found = visibility.feasible(slam.arrays, register, robot, MOUNT, limits, 0.1, EKF)
         assert found.tolist() == brute_force(slam, register, robot, limits, 0.1)
 
 
@@ -84,7 +85,7 @@ def test_large_is_what_the_grid_is_for():
 
 def test_a_narrow_view_of_a_large_map_has_few_candidates(rng):
     slam, register = a_map(rng, 1100)
-    found = visibility.feasible(slam.arrays, register, 0, MOUNT, VIEWS[0], 0.1, False)
+    found = visibility.feasible(slam.arrays, register, 0, MOUNT, VIEWS[0], 0.1, EKF)
     assert 0 < len(found) < 100
 
 

@@ -20,7 +20,7 @@ from ekfslam.estimates import (
 )
 from ekfslam.filters.arrays import Journal, Log
 from ekfslam.filters.ekf_slam import DONE, INDEFINITE
-from ekfslam.filters.engine import Engine, check_variant, check_views, views_of_landmarks
+from ekfslam.filters.engine import Engine, check_views, views_of_landmarks
 from ekfslam.filters.options import Options
 from ekfslam.filters.variants import EKF
 from ekfslam.geometry import Array, compose, compose_jacobians, congruence, heading_block
@@ -126,7 +126,6 @@ class Ekf(Options):
     def _run(self, dataset: Dataset, progress: Progress | None, journal: Journal) -> Estimate:
         association, kinds = self._association(dataset), views_of_landmarks(dataset.sightings)
         check_views(self, association, dataset.sightings)
-        check_variant(self, len(dataset.robots))
         truth = self._truth(dataset)
         steps = dataset.poses
         noted = len(journal.event) > 0
@@ -157,6 +156,7 @@ class Ekf(Options):
         one = len(priors) == 1
         notes = []
         if why == INDEFINITE:
+            log.nis[k] = log.nis[k] if log.dof[k] > 0 else np.nan
             notes.append(f"innovation covariance not positive definite at step {k}")
         if engine.undetermined:
             notes.append(f"{engine.undetermined} landmarks not determined")

@@ -53,7 +53,8 @@ def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, l
             until = end_of_look(sightings, first, last) if settings.scan else first + 1
             by_identity(register, sightings, first, until, settings, log)
             nis, dof = update(slam, register, sightings, first, until, settings, log)
-            if np.isnan(nis):
+            if np.isnan(nis):  # what failed leaves nothing behind
+                log.decision[first:until], log.landmark[first:until] = REJECTED, -1
                 return k, INDEFINITE
             log.nis[k] += nis
             log.dof[k] += dof
@@ -233,7 +234,7 @@ def stack(slam, register, sightings, first, last, together, again, rows, S, z, s
         ):
             decision[i] = REJECTED  # an inverse depth that has no distance to compare with
             continue
-        if size > POINT:
+        if size > POINT and not again:
             there = mean[at : at + size]
             for a in range(d):
                 nu[a] = moved(nu, h, there, point, size, a)

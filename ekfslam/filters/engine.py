@@ -49,6 +49,7 @@ from ekfslam.filters.variants import (
     pose_of,
     settle_frame,
 )
+from ekfslam.filters.variants.robocentric import MAP, compose
 from ekfslam.filters.waiting import MOST
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import BEARING, RANGE
@@ -81,7 +82,7 @@ class Engine:
     Raises
     ------
     UnsupportedError
-        If the options cannot work with such views.
+        If the options cannot work with such views, or the filter with so many robots.
     """
 
     def __init__(
@@ -94,6 +95,7 @@ class Engine:
         noted: bool = False,
         truth: tuple[Array, Array] | None = None,
     ) -> None:
+        check_variant(options, len(priors))
         settings = options.settings(association, kinds, landmarks, len(priors))
         settings = settings._replace(plain=settings.plain and not noted)
         self.settings, self.association = settings, association
@@ -123,7 +125,7 @@ class Engine:
             self.slam.arrays = arrays = arrays._replace(points=points)
             poses = truth[0][:, 0].reshape(-1)
         arrays.points.at[: len(poses)] = poses
-        if self.settings.variant == ROBOCENTRIC:
+        if self.settings.variant in (INVARIANT, ROBOCENTRIC):
             arrays.points.first[: len(poses)] = poses
 
     def _allocate(self, landmarks: int, variance: float) -> None:
@@ -235,6 +237,7 @@ class Engine:
         """Move the robots, (R, 3) and (R, 3, 3); what they will see is not known (no rows)."""
         self._clock[0] = step
         slam, register = self.slam.arrays, self.register
+        settle_frame(self.settings.variant, slam)  # the end of the step before
         predict(slam, deltas, Qs, step, register, unseen, 0, 0, self.settings)
 
     def observe(self, sightings: Sightings, log: Log) -> bool:
@@ -353,8 +356,10 @@ class Engine:
         slam, variant, robots = self.slam, self.settings.variant, self.settings.robots
         if variant not in (INVARIANT, ROBOCENTRIC):
             return slam.mean[: POSE * robots].reshape(-1, POSE).copy(), slam.block(0, POSE * robots)
-        settle_frame(variant, slam.arrays)  # changes nothing but the frame
         mean, P, _, points = slam.arrays
+        if variant == ROBOCENTRIC:  # as if the step were over; the filter does not notice
+            mean, P = mean[:MAP].copy(), P[:MAP, :MAP].copy()
+            compose(mean, P, MAP)
         pose, covariance = np.empty(POSE), np.empty((POSE, POSE))
         pose_of(variant, mean, P, points.first, 0, pose, covariance)
         return pose[None], covariance

@@ -27,12 +27,13 @@ def starting(variant: int, priors: Sequence[Prior]) -> list[Prior]:
     Returns
     -------
     list of Prior
-        In the error coordinates of the filter. A robocentric one has the increment, and the pose
-        of the start in the frame of the robot; its origin is the mean of the prior.
+        In the error coordinates of the filter. A right-invariant one has its origin where the prior
+        has its mean, so that errors are additive there. A robocentric one has the increment, and
+        the pose of the start in the frame of the robot; its origin is the mean of the prior.
     """
     if variant == INVARIANT:
         (prior,) = priors
-        return [Prior(prior.mean, geo.additive_to_invariant(prior.mean, prior.covariance))]
+        return [Prior(prior.mean * [0.0, 0.0, 1.0], prior.covariance)]
     if variant == ROBOCENTRIC:
         (prior,) = priors
         back = geo.heading_block(-prior.mean[2])
@@ -50,7 +51,8 @@ def exchanged(variant: int, mean: Array, P: Array, first: Array) -> tuple[Array,
     P : (n, n) ndarray
         Full.
     first : (>= 3,) ndarray
-        Of a robocentric filter, between two steps, the mean of the prior.
+        Of a filter with an origin of its own, the mean of the prior. A robocentric one must be
+        between two steps.
 
     Returns
     -------
@@ -62,7 +64,10 @@ def exchanged(variant: int, mean: Array, P: Array, first: Array) -> tuple[Array,
         turn[:2] = geo.perpendicular(mean[:2])
         turn[POSE:] = geo.perpendicular(mean[POSE:].reshape(-1, POINT)).reshape(-1)
         half = np.outer(turn, P[2] + 0.5 * P[2, 2] * turn)
-        return mean, P + half + half.T
+        origin = np.zeros(len(mean))
+        origin[:2] = first[:2]
+        origin[POSE:] = np.resize(first[:2], len(mean) - POSE)
+        return mean + origin, P + half + half.T
     if variant == ROBOCENTRIC:
         return _from_robot(mean, P, first[:POSE])
     return mean, P

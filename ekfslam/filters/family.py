@@ -66,10 +66,9 @@ class EkfIdeal(Ekf):
             raise UnsupportedError(f"{self.name} needs to know who truly was seen")
         order = np.argsort(known.ids)
         ids = known.ids[order]
-        found = np.minimum(np.searchsorted(ids, shown), len(ids) - 1)
         places = np.full((len(shown), 2), np.nan)
-        real = ids[found] == shown
-        places[real] = known.positions[order[found[real]]]
+        real = np.isin(shown, ids)
+        places[real] = known.positions[order[np.searchsorted(ids, shown[real])]]
         return np.array(truths), places
 
 

@@ -13,7 +13,7 @@ from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.estimates import Decision, Innovations, LandmarkEstimates
 from ekfslam.filters.arrays import Log
 from ekfslam.filters.ekf import Ekf
-from ekfslam.filters.engine import Engine, check_variant, check_views
+from ekfslam.filters.engine import Engine, check_views
 from ekfslam.filters.family import EkfFej, EkfRi, EkfRobocentric, Iekf
 from ekfslam.filters.upkeep import delete
 from ekfslam.geometry import Array
@@ -63,7 +63,6 @@ class EkfSlam:
             self._options = ONLINE[estimator](association or "known", **options)
         except TypeError as error:
             raise InputError(f"EkfSlam: {error}") from None
-        check_variant(self._options, len(priors))
         kinds = {view.code for view in VIEWS.values() if view.size == 2 or estimator == "ekf"}
         self._unseen = Sightings.of(Sensor("xy", np.eye(2)), np.zeros((0, 2)))
         self._engine = Engine(priors, self._options, self._options.association or "known", kinds)

@@ -207,8 +207,7 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
             m += 1
             noise = max(noise, spread(kind, sightings.values[i], sightings.covariance[i]))
     rows = rows[:m]
-    invariant = variant == INVARIANT
-    candidates = feasible(state.slam, register, robot, mount, limits, noise, invariant)
+    candidates = feasible(state.slam, register, robot, mount, limits, noise, variant)
     count = candidates.size
     distances, logdets = np.full((m, count), np.inf), np.zeros((m, count))
     apart = np.full((m if uses_points(settings.method) else 0, count), np.inf)

@@ -10,6 +10,7 @@ from ekfslam.association.index import build, near
 from ekfslam.compiled import compiled
 from ekfslam.filters.kernels import wrap
 from ekfslam.filters.measure import POINT, POSE
+from ekfslam.filters.variants import INVARIANT, ROBOCENTRIC
 
 SURE = 3.0  # sigmas
 LARGE = 1000  # landmarks from which the spatial index pays
@@ -63,7 +64,7 @@ def surely_sees(distance, bearing, slack, limits):  # type: ignore[no-untyped-de
 
 
 @compiled
-def feasible(slam, register, robot, mount, limits, noise, invariant):  # type: ignore[no-untyped-def]
+def feasible(slam, register, robot, mount, limits, noise, variant):  # type: ignore[no-untyped-def]
     """Register indices of the landmarks that may be visible, ascending.
 
     Inside the view by three sigmas; all directions of open distance. Large maps are not scanned:
@@ -78,13 +79,16 @@ def feasible(slam, register, robot, mount, limits, noise, invariant):  # type: i
         Of the sensor.
     noise : float
         Standard deviation of a sighting, as a length [m].
-    invariant : bool
-        Whether the covariance is of right-invariant errors. There the variance of a landmark
-        grows, and the grid, which rests on a bound, is not used.
+    variant : int
+        Of `ekfslam.filters.variants`. Where the variance of a landmark grows, that is of
+        right-invariant errors and in the frame of a robot, the grid, which rests on a bound, is
+        not used.
     """
     mean, P, offsets, sizes = slam.mean, slam.covariance, register.offsets, register.sizes
     count, pose = register.used[0], POSE * robot
-    if not invariant and count >= LARGE and limits[1] < np.inf:
+    invariant = variant == INVARIANT
+    bounded = variant not in (INVARIANT, ROBOCENTRIC)
+    if bounded and count >= LARGE and limits[1] < np.inf:
         some = in_range(slam, register, pose, mount, limits[1], noise)
     else:
         some = np.arange(count)

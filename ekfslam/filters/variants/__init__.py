@@ -137,12 +137,17 @@ def settle_frame(variant, slam):  # type: ignore[no-untyped-def]
 
 @inlined
 def pose_of(variant, mean, P, first, at, pose, covariance):  # type: ignore[no-untyped-def]
-    """A robot's pose (3,) and its additive covariance (3, 3) in the world; both written."""
+    """A robot's pose (3,) and its additive covariance (3, 3) in the world; both written.
+
+    The right-invariant and the robocentric filter have the mean of the prior in `first`.
+    """
     if variant == ROBOCENTRIC:
         _pose_of(first[:POSE], mean, P, pose, covariance)
         return
     pose[:] = mean[at : at + POSE]
     if variant == INVARIANT:
+        pose[0] += first[0]
+        pose[1] += first[1]
         _additive(mean, P, 0, POSE, covariance)
         return
     for i in range(POSE):

@@ -2,7 +2,8 @@
 
 The error is ``X = Exp(xi) estimate``: the heading error turns robot and map about the origin as
 one. In these coordinates neither the motion nor the observation of a landmark has a Jacobian that
-depends on the estimate, so that nothing needs to be chosen.
+depends on the estimate, so that nothing needs to be chosen. Nor does it matter where the origin is,
+but to round-off: the start is put there, however far from that of the world it is.
 """
 
 from __future__ import annotations

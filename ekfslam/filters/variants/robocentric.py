@@ -33,7 +33,8 @@ def compose(mean, P, n):  # type: ignore[no-untyped-def]
     itself, ``-C`` to d, and ``-J q`` to dtheta; that of the start's heading is 1 and -1.
     """
     dx, dy, turn = mean[0], mean[1], mean[2]
-    if dx == 0.0 and dy == 0.0 and turn == 0.0 and P[0, 0] == 0.0 and P[2, 2] == 0.0:
+    certain = P[0, 0] == 0.0 and P[1, 1] == 0.0 and P[2, 2] == 0.0
+    if certain and dx == 0.0 and dy == 0.0 and turn == 0.0:
         return  # the frame is where the robot is
     c, s = math.cos(turn), math.sin(turn)
     pairs = 1 + (n - MAP) // 2
