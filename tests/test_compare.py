@@ -572,3 +572,8 @@ def test_a_notebook_shows_the_summary(comparison):
     for word in ("<table", "cloister", "gtsam-isam2", "smoothed", "ate_position_rmse_m"):
         assert word in html
     assert "NaN" not in html
+
+
+def test_files_of_a_comparison_in_which_nobody_took_part(tmp_path):
+    files = compare(["team"], ["ekf-ri"], seed=1).save(tmp_path)
+    assert {path.name for path in files} >= {"summary.csv", "trajectories.csv", "team-map.png"}

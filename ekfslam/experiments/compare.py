@@ -141,7 +141,8 @@ class Comparison:
 
         for figure in FIGURES:
             save(getattr(self, f"plot_{figure}")(dataset), folder, _stem(dataset, figure))
-        for robot in robots:
+        drawn_of = set(self._of(self.trajectories, dataset)["robot"])  # none, if all are skipped
+        for robot in filter(drawn_of.__contains__, robots):
             whose = [robot] if len(robots) > 1 else []
             for figure in FIGURES_OF_A_ROBOT:
                 drawn = getattr(self, f"plot_{figure}")(dataset, robot)
