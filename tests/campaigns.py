@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from pathlib import Path
 
 from threadpoolctl import threadpool_info
@@ -80,6 +81,20 @@ class Broken:
         if dataset.seed % 2:
             raise RuntimeError("odd\nseeds")
         return resolve("dead-reckoning").estimate(dataset)
+
+
+class Quitting:
+    """Ends the process, as a script would."""
+
+    def estimate(self, dataset):
+        sys.exit("enough")
+
+
+class Never:
+    """Raises at every seed."""
+
+    def estimate(self, dataset):
+        raise RuntimeError("no")
 
 
 class Refusing:

@@ -106,17 +106,19 @@ def test_of_an_estimator_with_two_series_both_are_compared(tmp_path):
 
 
 def test_failures_are_rows_and_stop_nobody(tmp_path):
-    names = ["campaigns:Broken", "campaigns:Refusing", "dead-reckoning"]
+    names = ["campaigns:Broken", "campaigns:Refusing", "campaigns:Quitting", "dead-reckoning"]
     document = SMALL | {"estimators": names, "compare": {"baseline": "Broken"}}
     results = run_campaign(document, tmp_path)
     runs = results.runs[results.runs["scenario"] == results.runs["scenario"][0]]
     status = runs.pivot(index="seed", columns="estimator", values="status")
     assert status["Broken"].tolist() == ["ok", "failed", "ok"]
     assert status["Refusing"].tolist() == ["skipped"] * 3
+    assert status["Quitting"].tolist() == ["failed"] * 3
     assert status["dead-reckoning"].tolist() == ["ok"] * 3
     messages = runs.set_index(["estimator", "seed"])["message"]
     assert messages["Broken", 1] == "RuntimeError: odd seeds"
     assert messages["Refusing", 0] == "not for me"
+    assert messages["Quitting", 0] == "SystemExit: enough"
     assert results.summary.set_index("estimator")["failed"]["Broken"].tolist() == [1, 1]
     assert set(results.pairs["b"]) == {"Broken"}
 
@@ -194,7 +196,10 @@ def test_an_estimator_that_workers_do_not_have_is_told_and_no_row(tmp_path, monk
 
 def test_no_scheduler_at_the_address(tmp_path, monkeypatch):
     monkeypatch.setattr("ekfslam.experiments.cluster.PATIENCE", "0.3s")
-    for address in ("tcp://127.0.0.1:9", "nonsense"):
+    with pytest.raises(InputError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
+        run_campaign(SMALL, tmp_path, scheduler="tcp://127.0.0.1:9")
+    monkeypatch.setattr("distributed.Client", None)  # it could not be closed, and would say so
+    for address in ("nonsense", "none://sense:8786", ""):
         with pytest.raises(InputError, match=f"no Dask scheduler at {address}"):
             run_campaign(SMALL, tmp_path, scheduler=address)
     with pytest.raises(InputError, match="either workers or a scheduler"):

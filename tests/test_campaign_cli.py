@@ -67,9 +67,38 @@ def test_a_campaign_is_run_and_told(command, tmp_path):
     assert lines[0].strip() == "loop-15(sensors.0.max_range=4.0)"
     assert any(line.split()[:3] == ["ekf", "2", "0"] for line in lines)
     assert "  Broken: failed at 1 seeds: RuntimeError: odd seeds" in lines
-    assert sum(line.startswith("  dead-reckoning, ekf: too few pairs") for line in lines) == 2
+    rows = [line for line in lines if " dead-reckoning  ekf " in line]
+    assert ["too few pairs to tell" in row for row in rows] == [True, True]
     assert lines[-1].startswith("5 files in out: nees_over_time.csv, pairs.csv, runs.csv")
     assert (tmp_path / "out" / "summary.csv").exists()
+
+
+def test_pairs_are_a_table_and_strangers_a_line(command, tmp_path):
+    names = '"ekf", "dead-reckoning", "ekf-ri", "campaigns:Never"'
+    text = re.sub("estimators = .*", f"estimators = [{names}]", FILE).replace(
+        "seeds = 2", "seeds = 8"
+    )
+    text = text.replace('["ate', '["final_heading_sigma_rad", "ate')
+    (tmp_path / "mine.toml").write_text(re.sub("sweep.*", "", text))
+    lines = command("campaign", "mine.toml", "--out", "out", "--no-figures").out.splitlines()
+    table = lines[lines.index(next(line for line in lines if line.startswith("on the same"))) :]
+    assert table[0].rstrip().endswith("intervals of each alone, p adjusted for 4 comparisons")
+    metric = "final_heading_sigma_rad"
+    row = next(line for line in table if line.split()[:2] == [metric, "dead-reckoning"])
+    beats = r" +dead-reckoning +ekf +ekf beats dead-reckoning +0 % +[\d.]+ ± [\d.]+ +[\d.]+ +8 *"
+    assert re.fullmatch(f" {metric}{beats}", row)
+    assert sum("Never, ekf:" in line for line in lines) == 1
+    assert f"  Never, ekf: no seed has a number of both on {metric}, ate_position_rmse_m" in table
+
+
+def test_who_stops_a_campaign_is_told_once_that_it_goes_on(command, monkeypatch):
+    def interrupted(*args, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ekfslam.experiments.run_campaign", interrupted)
+    shown = command("campaign", "mine.toml", "--out", "out")
+    assert (shown.status, shown.out) == (130, "")
+    assert shown.err == "stopped; what was done stays, run it again to go on\n"
 
 
 def test_it_goes_on_and_says_so(command):

@@ -44,20 +44,28 @@ def campaign(
     """
     from ekfslam.experiments import run_campaign
 
-    with progress() as watch:
-        results = run_campaign(
-            file,
-            out,
-            workers=workers,
-            scheduler=scheduler,
-            seeds=seeds,
-            retry_failed=retry_failed,
-            watch=watch,
-            tell=lambda words: print(words, file=sys.stderr),
-        )
+    try:
+        with progress() as watch:
+            results = run_campaign(
+                file,
+                out,
+                workers=workers,
+                scheduler=scheduler,
+                seeds=seeds,
+                retry_failed=retry_failed,
+                watch=watch,
+                tell=_tell,
+            )
+    except KeyboardInterrupt:
+        _tell("stopped; what was done stays, run it again to go on")
+        raise
     print_campaign(results)
     files = results.save(figures=figures)
     print(f"{len(files)} files in {out}: {', '.join(path.name for path in files)}")
+
+
+def _tell(words: str) -> None:
+    print(words, file=sys.stderr)
 
 
 def summary(

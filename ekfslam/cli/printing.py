@@ -156,10 +156,39 @@ def print_campaign(results: CampaignResults) -> None:
             first = rows.iloc[0]
             text = f"  {estimator}: {first['status']} at {len(rows)} seeds: {first['message']}"
             console.print(escape(text), style="dim")
-        for _, row in results.pairs[results.pairs["scenario"] == name].iterrows():
-            whose = f" ({row['robot']})" if "robot" in apart else ""
-            text = f"  {row['a']}, {row['b']}{whose}: {row['verdict']}"
-            console.print(escape(text), soft_wrap=True)
+        console.print()
+        _print_pairs(console, results.pairs[results.pairs["scenario"] == name])
+
+
+def _print_pairs(console: Console, pairs: pd.DataFrame) -> None:
+    """Who beats whom on the same seeds, metric by metric, effect size first."""
+    met = pairs[pairs["seeds"] > 0]
+    if len(met):
+        first = met.iloc[0]
+        names = "mean_difference", "half_width"
+        percent = f"a − b\nmean ± ({100 * first['probability']:g} %)"
+        shown = met.assign(
+            difference=[_plus_minus(*pair) for pair in _pairs(met, *names)],
+            missing=met["missing"].where(met["missing"] > 0),
+            seen=[row["verdict"].partition(f" on {row['metric']}")[0] for _, row in met.iterrows()],
+        )
+        columns = [
+            *COMPARED,
+            Column("seeds", "seeds", str),
+            Column("missing", "without\na pair", str),
+        ]
+        columns.insert(1, Column("difference", percent, str))
+        robots = ["robot"] if met["robot"].nunique() > 1 else []
+        lead = ["metric", *robots, "a", "b", "seen"]
+        many = first["comparisons"]
+        title = "on the same seeds"
+        title += f"; intervals of each alone, p adjusted for {many} comparisons" if many else ""
+        _print(_table(shown, lead, columns, title, apart="metric"))
+    strangers = pairs[pairs["seeds"] == 0].groupby(["a", "b"], sort=False)["metric"]
+    for (a, b), metrics in strangers:
+        text = f"  {a}, {b}: no seed has a number of both on {', '.join(metrics.unique())}"
+        console.print(escape(text), style="dim", soft_wrap=True)
+    if len(pairs):
         console.print()
 
 
@@ -252,6 +281,10 @@ OVER_RUNS = (
     Column("gap_final_position_m_median", "pose gap [m]\nmedian", _digits),
     Column("graph_chi2_per_dof", "chi2\n/dof", _digits),
     Column("seconds", "time [s]\nmedian", _seconds),
+)
+COMPARED = (
+    Column("share_a_less", "a less\nin", _percent),
+    Column("p_adjusted", "p\nadjusted", lambda p: f"{p:.2g}"),
 )
 HEADINGS = {"odometry_noise": "noise"}
 

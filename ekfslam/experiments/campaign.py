@@ -25,7 +25,7 @@
 
     [compare]                         # optional: paired on the same seeds
     baseline = "ekf"                  # each of the others against it
-    pairs = [["ekf-ri", "gtsam-batch"]]               # and these
+    pairs = [["ekf-ri", "gtsam-batch"]]               # and these; no two are compared twice
     metrics = ["nees_pose_mean_kept", "ate_position_rmse_m"]   # columns of `runs`
 
 A variant of a scenario is what a combination of swept values makes of it. Its label, the column

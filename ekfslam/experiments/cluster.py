@@ -93,6 +93,7 @@ def _connected(workers: int, scheduler: str | None) -> Iterator[Client]:
     """A client of a new cluster, which goes when it does, or of one that is there."""
     import dask  # takes a moment
     from distributed import Client, LocalCluster
+    from distributed.comm import resolve_address
 
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(SETTINGS))
@@ -111,6 +112,8 @@ def _connected(workers: int, scheduler: str | None) -> Iterator[Client]:
                 )
             )
         try:
+            if scheduler is not None:  # no client of an address that is none can be closed
+                resolve_address(scheduler)
             client = Client(cluster, set_as_default=False, timeout=PATIENCE)
         except (OSError, ValueError) as error:
             raise InputError(f"no Dask scheduler at {scheduler}: {error}") from None

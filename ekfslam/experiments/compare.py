@@ -316,7 +316,7 @@ def attempt(
         return estimate
     except UnsupportedError as reason:
         return Estimate(name, dataset.name, status=SKIPPED, message=str(reason))
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # which would take a campaign with it
         text = f"{type(error).__name__}: {' '.join(str(error).split())}"
         return Estimate(name, dataset.name, status=FAILED, message=text)
 

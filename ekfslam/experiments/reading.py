@@ -18,6 +18,8 @@ from ekfslam.registry import estimator_name, resolve
 from ekfslam.simulation import load_scenario, scenario_hash
 
 HASH_DIGITS = 16
+MOST = 1_000_000  # seeds: more would be a slip, and fill the memory before anything is said
+LARGEST = 2**63 - 1  # that a column of whole numbers holds
 
 T = TypeVar("T")
 
@@ -65,7 +67,7 @@ def load_campaign(
 def _so_many(seeds: tuple[int, ...], count: int) -> tuple[int, ...]:
     count = _whole(count, "seeds", least=1)
     if seeds == tuple(range(seeds[0], seeds[0] + len(seeds))):
-        return tuple(range(seeds[0], seeds[0] + count))
+        return _in_a_row(seeds[0], count, "seeds")
     if count > len(seeds):
         raise InputError(f"the campaign lists {len(seeds)} seeds, {count} are asked for")
     return seeds[:count]
@@ -149,12 +151,22 @@ def _seeds(value: Any, where: str) -> tuple[int, ...]:
         if "count" not in value:
             raise InputError(f"{where}: missing key 'count'")
         first = _whole(value.get("first", 0), f"{where}: first")
-        return tuple(range(first, first + _whole(value["count"], f"{where}: count", least=1)))
+        return _in_a_row(first, _whole(value["count"], f"{where}: count", least=1), where)
     if not isinstance(value, list | tuple):
-        return tuple(range(_whole(value, where, least=1)))
+        return _in_a_row(0, _whole(value, where, least=1), where)
     seeds = tuple(_whole(seed, where) for seed in _list(value, where, "seeds"))
     _different(seeds, where)
+    if max(seeds) > LARGEST:
+        raise InputError(f"{where}: {max(seeds)} is too large, a seed is at most {LARGEST}")
     return seeds
+
+
+def _in_a_row(first: int, count: int, where: str) -> tuple[int, ...]:
+    if count > MOST:
+        raise InputError(f"{where}: {count} are too many, a campaign has at most {MOST} seeds")
+    if first + count - 1 > LARGEST:
+        raise InputError(f"{where}: {first} is too large, a seed is at most {LARGEST}")
+    return tuple(range(first, first + count))
 
 
 def _estimators(value: Any, where: str) -> dict[str, str]:
@@ -201,7 +213,8 @@ def _variants_of(entry: Mapping[str, Any], where: str, folder: Path) -> list[Var
         key: _list(values, f"{where}: [sweep] {key}", "values")
         for key, values in _by_dotted_key(_table(entry, "sweep", where)).items()
     }
-    for key in lists:
+    for key, several in lists.items():
+        _different(several, f"{where}: [sweep] {key}")
         if key in fixed:
             raise InputError(f"{where}: {key} is both set and swept")
     variants = []
@@ -280,7 +293,11 @@ def _pairing(table: Mapping[str, Any], where: str, estimators: Collection[str]) 
     listed = _list(table.get("metrics", list(COMPARED)), f"{where}: metrics", "columns")
     metrics = tuple(_one_of(name, COMPARABLE, "column", f"{where}: metrics") for name in listed)
     _different(metrics, f"{where}: metrics")
-    return Pairing(tuple(dict.fromkeys(pairs)), metrics)
+    # The same two the other way round would count as one more comparison.
+    once: dict[frozenset[str], tuple[str, str]] = {}
+    for a, b in pairs:
+        once.setdefault(frozenset((a, b)), (a, b))
+    return Pairing(tuple(once.values()), metrics)
 
 
 def _one_of(value: Any, known: Collection[str], what: str, where: str) -> str:
