@@ -15,6 +15,7 @@ import re
 import sys
 from ast import literal_eval
 from collections.abc import Callable
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -38,6 +39,7 @@ class Estimator(Protocol):
         ...
 
 
+@cache  # what is installed is read from a file of every package
 def registered() -> dict[str, EntryPoint]:
     """Names of the estimators that are installed, with where they come from."""
     return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda p: p.name)}

@@ -49,7 +49,7 @@ LIBRARIES = {
     "typer": ("ekfslam.cli",),
     "rich": ("ekfslam.cli",),
     "distributed": ("ekfslam.experiments.cluster",),
-    "pyarrow": ("ekfslam.experiments.store",),
+    "pyarrow": ("ekfslam.experiments.rows", "ekfslam.experiments.store"),
 }
 
 # Figures judge with the intervals that the tables judge with: the one step aside.

@@ -22,7 +22,7 @@ from ekfslam.evaluation import judged
 from ekfslam.evaluation.run_metrics import RUN_METRICS, run_metrics
 from ekfslam.evaluation.tables import summary_rows, trajectories
 from ekfslam.experiments import load_campaign, read_campaign, run_campaign
-from ekfslam.experiments.cells import SCHEMAS
+from ekfslam.experiments.rows import SCHEMAS
 from ekfslam.experiments.store import Store
 from ekfslam.simulation import simulate
 
@@ -121,6 +121,13 @@ def test_failures_are_rows_and_stop_nobody(tmp_path):
     assert messages["Quitting", 0] == "SystemExit: enough"
     assert results.summary.set_index("estimator")["failed"]["Broken"].tolist() == [1, 1]
     assert set(results.pairs["b"]) == {"Broken"}
+
+
+def test_what_cannot_be_tabulated_is_a_failure_of_its_own(tmp_path):
+    document = SMALL | {"seeds": 1, "estimators": ["campaigns:Nonsense", "ekf"], "compare": {}}
+    runs = run_campaign(document, tmp_path).runs
+    assert runs["status"].tolist() == ["failed", "ok"] * 2
+    assert "'soon'" in runs["message"][0]
 
 
 def test_a_draw_that_cannot_be_made_is_rows_too(tmp_path):

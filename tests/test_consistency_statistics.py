@@ -105,6 +105,10 @@ def test_nees_agrees_with_the_inverse(rng):
     expected = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariances), errors)
     np.testing.assert_allclose(squared_mahalanobis(errors, covariances), expected, rtol=1e-10)
     assert not squared_mahalanobis(np.zeros((50, 3)), covariances).any()
+    pair = np.stack([errors, -2 * errors])  # broadcast over shared covariances
+    np.testing.assert_allclose(
+        squared_mahalanobis(pair, covariances), [expected, 4 * expected], rtol=1e-10
+    )
 
 
 def test_the_heading_error_is_wrapped(rng):

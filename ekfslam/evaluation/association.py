@@ -14,6 +14,7 @@ another life.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -104,15 +105,13 @@ def association_scores(dataset: Dataset, estimate: Estimate) -> AssociationScore
     origin, met = origins(dataset), estimate.innovations
     if origin is None or met is None:
         return None
-    lives = _lives(dataset, estimate, origin)
+    lives = _lives(dataset, estimate)
     scored = dataset.observed_robot < 0
     founded = np.zeros(len(origin), dtype=bool)
     founded[lives.founder[lives.founder >= 0]] = True
     accepted = (lives.of_row >= 0) & ~founded
     whom = np.append(lives.whom, NO_LANDMARK)[lives.of_row]
     correct = accepted & (whom == origin) & (origin >= 0)
-    merging = np.zeros(len(origin), dtype=bool)
-    merging[_merging(lives.of_row, origin)] = True
     return AssociationScores(
         scored,
         founded,
@@ -120,7 +119,7 @@ def association_scores(dataset: Dataset, estimate: Estimate) -> AssociationScore
         correct,
         correct | _mapped(lives, origin),
         founded & (origin < 0),
-        merging,
+        lives.merging,
     )
 
 
@@ -173,9 +172,8 @@ def count_landmarks(dataset: Dataset, estimate: Estimate) -> LandmarkCounts:
         return LandmarkCounts(len(observed))
     merged = None
     if estimate.innovations is not None:
-        lives = _lives(dataset, estimate, origin)
-        mixed = np.unique(lives.of_row[_merging(lives.of_row, origin)])
-        merged = int(np.isin(mixed, np.flatnonzero(lives.lasting)).sum())
+        lives = _lives(dataset, estimate)
+        merged = int(lives.lasting[lives.of_row[lives.merging]].sum())
         whom = lives.whom[lives.lasting]
     elif identities_shared(dataset, estimate):
         whom = known_identities(dataset, map_ids(estimate.landmarks))
@@ -203,11 +201,15 @@ class _Lives(NamedTuple):
     last: np.ndarray  # last row at which it is in the map; M for one of the final map
     lasting: np.ndarray  # whether the final map holds it
     of_row: np.ndarray  # (M,) life that each observation was used for, -1 for none
+    merging: np.ndarray  # (M,) whether it is the first of a second true landmark that a life took
 
 
-def _lives(dataset: Dataset, estimate: Estimate, origin: np.ndarray) -> _Lives:
-    met, count = estimate.innovations, len(origin)
+@lru_cache(maxsize=1)  # scores and counts are of the same lives
+def _lives(dataset: Dataset, estimate: Estimate) -> _Lives:
+    met, origin = estimate.innovations, origins(dataset)
     assert met is not None
+    assert origin is not None
+    count = len(origin)
     used = np.flatnonzero(np.isin(met.decision, _USED) & (dataset.observed_robot < 0))
     rows = used[np.argsort(met.landmark[used], kind="stable")]
     ids, decision = met.landmark[rows], met.decision[rows]
@@ -232,7 +234,8 @@ def _lives(dataset: Dataset, estimate: Estimate, origin: np.ndarray) -> _Lives:
         founder, entry = np.append(founder, nobody), np.append(entry, nobody)
         lasting = np.append(lasting, np.ones(len(never), dtype=bool))
     whom = _whom(dataset, estimate, landmark, founder, origin)
-    return _Lives(whom, founder, entry, np.where(lasting, count, last), lasting, of_row)
+    last, merging = np.where(lasting, count, last), _merging(of_row, origin)
+    return _Lives(whom, founder, entry, last, lasting, of_row, merging)
 
 
 def _whom(
@@ -266,15 +269,15 @@ def _mapped(lives: _Lives, origin: np.ndarray) -> np.ndarray:
 
 
 def _merging(of_row: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Rows at which a life took its second true landmark, one per life that did."""
+    """Whether a life took its second true landmark at a row, (M,) of bool; once per life."""
     rows = np.flatnonzero((of_row >= 0) & (origin >= 0))
-    pairs = np.column_stack([of_row[rows], origin[rows]])
-    pairs, first = np.unique(pairs, axis=0, return_index=True)
-    order = np.lexsort((first, pairs[:, 0]))
-    life, first = pairs[order, 0], first[order]
-    changes = np.diff(life, prepend=-1) != 0
-    second = ~changes & np.roll(changes, 1)
-    return rows[first[second]]
+    rows = rows[np.argsort(of_row[rows], kind="stable")]
+    begins = np.diff(of_row[rows], prepend=-1) != 0
+    # The rows of a life whose landmark is not that of its first row, and of those the first.
+    other = rows[origin[rows] != origin[rows[begins]][np.cumsum(begins) - 1]]
+    merging = np.zeros(len(origin), dtype=bool)
+    merging[other[np.diff(of_row[other], prepend=-1) != 0]] = True
+    return merging
 
 
 def _share(part: np.ndarray, whole: np.ndarray) -> float:

@@ -42,7 +42,8 @@ def squared_mahalanobis(errors: ArrayLike, covariances: ArrayLike) -> Array:
     P is scaled to its correlation matrix, so units hardly matter. It is skipped if a value is not
     finite, a variance is not above `NEGLIGIBLE` times the largest, or the smallest eigenvalue of
     the correlation matrix is not above `SINGULAR` times the largest: the first steps after an
-    exactly known start, or a motion noise of lower rank.
+    exactly known start, or a motion noise of lower rank. Of errors that share a covariance, by
+    broadcasting, it is decomposed once.
 
     Parameters
     ----------
@@ -55,23 +56,20 @@ def squared_mahalanobis(errors: ArrayLike, covariances: ArrayLike) -> Array:
         NaN where skipped; count those with ``np.isnan(...).sum()``.
     """
     errors, covariances = np.asarray(errors, dtype=float), np.asarray(covariances, dtype=float)
-    result = np.full(np.broadcast_shapes(errors.shape[:-1], covariances.shape[:-2]), np.nan)
-    errors = np.broadcast_to(errors, (*result.shape, errors.shape[-1]))
-    covariances = np.broadcast_to(covariances, (*result.shape, *covariances.shape[-2:]))
     variances = np.diagonal(covariances, axis1=-2, axis2=-1)
-    sound = np.isfinite(errors).all(axis=-1) & np.isfinite(covariances).all(axis=(-2, -1))
-    with np.errstate(invalid="ignore"):
+    sound = np.isfinite(covariances).all(axis=(-2, -1))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         floor = NEGLIGIBLE * np.max(variances, axis=-1, initial=0.0, keepdims=True)
         sound &= (variances > floor).all(axis=-1)
-    sigmas = np.sqrt(variances[sound])
-    correlation = covariances[sound] / (sigmas[:, :, None] * sigmas[:, None, :])
-    eigenvalues, vectors = np.linalg.eigh(correlation)
-    regular = eigenvalues[:, 0] > SINGULAR * eigenvalues[:, -1]
-    components = np.einsum("nij,ni->nj", vectors, errors[sound] / sigmas)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # Ones stand in for what is skipped.
+        sigmas = np.sqrt(np.where(sound[..., None], variances, 1.0))
+        correlation = covariances / (sigmas[..., :, None] * sigmas[..., None, :])
+        correlation = np.where(sound[..., None, None], correlation, np.eye(sigmas.shape[-1]))
+        eigenvalues, vectors = np.linalg.eigh(correlation)
+        regular = sound & (eigenvalues[..., 0] > SINGULAR * eigenvalues[..., -1])
+        components = np.einsum("...ij,...i->...j", vectors, errors / sigmas)
         squares = np.sum(components**2 / eigenvalues, axis=-1)
-    result[sound] = np.where(regular, squares, np.nan)
-    return result
+    return np.where(regular & np.isfinite(errors).all(axis=-1), squares, np.nan)
 
 
 def pose_nees(poses: ArrayLike, truth: ArrayLike, covariances: ArrayLike) -> Array:
@@ -112,10 +110,25 @@ def pose_nees_invariant(poses: ArrayLike, truth: ArrayLike, covariances: ArrayLi
     (...) ndarray
         NaN where skipped.
     """
-    poses = np.asarray(poses, dtype=float)
-    xi = geo.invariant_error(truth, poses)
+    return squared_mahalanobis(turned_error(poses, geo.invariant_error(truth, poses)), covariances)
+
+
+def turned_error(poses: ArrayLike, xi: ArrayLike) -> Array:
+    """``T xi``: a right-invariant error in the coordinates of the additive covariance.
+
+    Parameters
+    ----------
+    poses : (..., 3) array_like
+        Estimated.
+    xi : (..., 3) array_like
+
+    Returns
+    -------
+    (..., 3) ndarray
+    """
+    poses, xi = np.asarray(poses, dtype=float), np.asarray(xi, dtype=float)
     position = xi[..., :2] + xi[..., 2:] * geo.perpendicular(poses[..., :2])
-    return squared_mahalanobis(np.concatenate([position, xi[..., 2:]], axis=-1), covariances)
+    return np.concatenate([position, xi[..., 2:]], axis=-1)
 
 
 class Gaps(NamedTuple):

@@ -82,7 +82,7 @@ def run_metrics(
         | _error_scalars(run, skip)
         | _gap_scalars(run, reference)
         | (_online_scalars(dataset, estimate, run) if run.name == "online" else _graph(estimate))
-        for run in runs(dataset, estimate)
+        for run in runs(dataset, estimate, "none")
     ]
     return [_without_nan(row) for row in rows] or [empty]
 
@@ -95,10 +95,9 @@ def _nees_scalars(run: Run, skip: int) -> dict[str, float]:
     if not run.has_nees:
         return {}
     pose, invariant = run.nees[skip:], run.nees_invariant[skip:]
-    poses, truth = run.series.poses[skip:], run.truth[skip:]
     covariances = run.series.covariances[skip:]  # type: ignore[index]
-    error, xi = geo.additive_error(truth, poses), geo.invariant_error(truth, poses)
-    turned = geo.additive_to_invariant(poses, covariances)
+    error, xi = run.error[skip:], run.error_invariant[skip:]
+    turned = geo.additive_to_invariant(run.series.poses[skip:], covariances)
     return {
         "nees_pose_mean_kept": mean(pose),
         "nees_pose_invariant_mean_kept": mean(invariant),
@@ -117,7 +116,7 @@ def _nees(errors: Array, covariances: Array, part: slice) -> Array:
 
 
 def _error_scalars(run: Run, skip: int) -> dict[str, float]:
-    square = geo.additive_error(run.truth, run.series.poses) ** 2
+    square = run.error**2
     position, heading = square[:, :2].sum(axis=1), square[:, 2]
     scalars = {
         "position_mse_kept_m2": float(position[skip:].mean()),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import Estimate, LandmarkEstimates, Trajectory
-from ekfslam.evaluation.consistency import pose_nees, pose_nees_invariant, squared_mahalanobis
+from ekfslam.evaluation.consistency import squared_mahalanobis, turned_error
 from ekfslam.evaluation.trajectory import frame_motion
 from ekfslam.geometry import Array
 
@@ -49,28 +48,44 @@ class Run:
         return self.series.covariances is not None and not np.isnan(self.truth).all()
 
     @cached_property
-    def nees(self) -> Array:
-        """NEES of the poses as estimated, (K + 1,); NaN where skipped."""
-        return self._nees(pose_nees)
+    def error(self) -> Array:
+        """Of the poses as estimated, additive, (K + 1, 3)."""
+        return geo.additive_error(self.truth, self.series.poses)
 
     @cached_property
-    def nees_invariant(self) -> Array:
+    def error_invariant(self) -> Array:
         """The same in right-invariant coordinates."""
-        return self._nees(pose_nees_invariant)
-
-    def _nees(self, function: Callable[..., Array]) -> Array:
-        if not self.has_nees:
-            return np.full(len(self.truth), np.nan)
-        return function(self.series.poses, self.truth, self.series.covariances)
+        return geo.invariant_error(self.truth, self.series.poses)
 
     @property
+    def nees(self) -> Array:
+        """NEES of the poses as estimated, (K + 1,); NaN where skipped."""
+        return self._nees[0]
+
+    @property
+    def nees_invariant(self) -> Array:
+        """The same in right-invariant coordinates."""
+        return self._nees[1]
+
+    @cached_property
+    def _nees(self) -> Array:
+        """Both, (2, K + 1): as `pose_nees` and `pose_nees_invariant`."""
+        if self.series.covariances is None or not self.has_nees:
+            return np.full((2, len(self.truth)), np.nan)
+        errors = self.error, turned_error(self.series.poses, self.error_invariant)
+        return squared_mahalanobis(np.stack(errors), self.series.covariances)
+
+    @cached_property
     def aligned(self) -> Array:
         """The poses in the frame of the truth, (K + 1, 3)."""
         return geo.compose(self.motion, self.series.poses)
 
 
-def runs(dataset: Dataset, estimate: Estimate, alignment: str = "none") -> Iterator[Run]:
+@lru_cache(maxsize=1)
+def runs(dataset: Dataset, estimate: Estimate, alignment: str) -> list[Run]:
     """Every series of every robot: the views of one robot that the tables are made of.
+
+    Those of the last estimate are kept, so that its tables share what they have in common.
 
     Parameters
     ----------
@@ -80,12 +95,14 @@ def runs(dataset: Dataset, estimate: Estimate, alignment: str = "none") -> Itera
         One motion per series, see `ekfslam.evaluation.frame_motion`.
     """
     motions = {name: frame_motion(dataset, s, alignment) for name, s in estimate.series.items()}
+    views = []
     for index, robot in enumerate(dataset.robots):
         truth = np.full((dataset.poses, 3), np.nan) if robot.truth is None else robot.truth
         for name, everybody in estimate.series.items():
             mine = everybody.of_robot(index)
             series = Trajectory(nan_unless_finite(mine.poses), mine.covariances)
-            yield Run(index, name, series, truth, motions[name])
+            views.append(Run(index, name, series, truth, motions[name]))
+    return views
 
 
 def nan_unless_finite(rows: Array) -> Array:

@@ -69,8 +69,9 @@ def share_inside(values: ArrayLike, dof: ArrayLike, probability: float = 0.95) -
     counts = ~np.isnan(values)
     if not counts.any():
         return float("nan")
-    low, high = chi2_interval(dof[counts], probability)
-    return float(np.mean((values[counts] >= low) & (values[counts] <= high)))
+    kept, (dofs, which) = values[counts], np.unique(dof[counts], return_inverse=True)
+    low, high = chi2_interval(dofs, probability)
+    return float(np.mean((kept >= low[which]) & (kept <= high[which])))
 
 
 def mean(values: ArrayLike) -> float:

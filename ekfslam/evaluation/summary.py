@@ -23,7 +23,6 @@ from ekfslam.evaluation.trajectory import absolute_errors, relative_errors
 from ekfslam.geometry import Array
 
 
-@quiet
 def summary_rows(
     dataset: Dataset,
     estimate: Estimate,
@@ -60,6 +59,23 @@ def summary_rows(
     UnknownNameError
         For another alignment.
     """
+    rows = summary_scalars(dataset, estimate, alignment, rpe_distance, reference, match_radius)
+    return concat("summary", [filled("summary", row, 1) for row in rows])
+
+
+@quiet
+def summary_scalars(
+    dataset: Dataset,
+    estimate: Estimate,
+    alignment: str = "none",
+    rpe_distance: float = 10.0,
+    reference: Estimate | None = None,
+    match_radius: float = MATCH_RADIUS,
+) -> list[dict[str, Any]]:
+    """The rows of `summary_rows`, by column; what is undefined may be left out.
+
+    Parameters and errors are those of `summary_rows`.
+    """
     validate(dataset, estimate)
     shared = (
         {"association": estimate.association, "status": estimate.status}
@@ -82,7 +98,7 @@ def summary_rows(
         for run in runs(dataset, estimate, alignment)
     ]
     alone = row_keys(dataset, estimate) | shared | {"observations": len(dataset.observations)}
-    return concat("summary", [filled("summary", row, 1) for row in rows or [alone]])
+    return rows or [alone]
 
 
 # Values of the columns --------------------------------------------------------------------------

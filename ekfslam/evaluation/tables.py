@@ -19,7 +19,7 @@ from ekfslam.evaluation.consistency import squared_mahalanobis, validate
 from ekfslam.evaluation.landmarks import MATCH_RADIUS, match_landmarks, true_positions
 from ekfslam.evaluation.runs import aligned_map, landmark_nees, quiet, row_keys, runs
 from ekfslam.evaluation.schema import SCHEMAS, concat, filled, read_csv
-from ekfslam.evaluation.summary import summary_rows
+from ekfslam.evaluation.summary import summary_rows, summary_scalars
 from ekfslam.evaluation.trajectory import frame_motion
 from ekfslam.geometry import Array
 from ekfslam.observations import WIDTH
@@ -32,11 +32,12 @@ __all__ = [
     "landmarks",
     "read_csv",
     "summary_rows",
+    "summary_scalars",
     "trajectories",
+    "trajectory_columns",
 ]
 
 
-@quiet
 def trajectories(dataset: Dataset, estimate: Estimate, alignment: str = "none") -> pd.DataFrame:
     """Every pose of every robot and series against the truth.
 
@@ -57,8 +58,20 @@ def trajectories(dataset: Dataset, estimate: Estimate, alignment: str = "none") 
     InputError, UnknownNameError
         As `summary_rows`.
     """
+    parts = trajectory_columns(dataset, estimate, alignment)
+    return concat("trajectories", [filled("trajectories", part, dataset.poses) for part in parts])
+
+
+@quiet
+def trajectory_columns(
+    dataset: Dataset, estimate: Estimate, alignment: str = "none"
+) -> list[dict[str, Any]]:
+    """The columns of `trajectories`, of each robot and series: scalars and (K + 1,) arrays.
+
+    Parameters and errors are those of `trajectories`.
+    """
     validate(dataset, estimate)
-    tables = []
+    parts = []
     for run in runs(dataset, estimate, alignment):
         error = geo.additive_error(run.truth, run.aligned)
         columns: dict[str, Any] = {
@@ -76,9 +89,8 @@ def trajectories(dataset: Dataset, estimate: Estimate, alignment: str = "none") 
         columns |= _triangle("cov_xx cov_xy cov_xt cov_yy cov_yt cov_tt", run.series.covariances)
         if run.name == "online":
             columns |= {"nis": estimate.step_nis, "nis_dof": estimate.step_dof}
-        keys = row_keys(dataset, estimate, run.robot)
-        tables.append(filled("trajectories", keys | columns, dataset.poses))
-    return concat("trajectories", tables)
+        parts.append(row_keys(dataset, estimate, run.robot) | columns)
+    return parts
 
 
 @quiet

@@ -8,61 +8,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import tables
-from ekfslam.evaluation.run_metrics import RUN_METRICS, run_metrics
-from ekfslam.evaluation.schema import REAL, TEXT, WHOLE
+from ekfslam.evaluation.run_metrics import run_metrics
 from ekfslam.experiments.compare import attempt
 from ekfslam.experiments.files import versions
+from ekfslam.experiments.rows import SCHEMAS, stacked, table_of
 from ekfslam.registry import Estimator, estimator_name, resolve
 from ekfslam.simulation import Scenario, simulate
 
-KEYS = ("scenario", "seed", "robot", "estimator", "series")
-
-
-def _schema(
-    lead: tuple[str, ...], source: Mapping[str, str], leave_out: Callable[[str], bool]
-) -> dict[str, str]:
-    """The keys, then the columns of another table but for some, then the versions."""
-    keys = dict.fromkeys(("campaign", "scenario", "scenario_hash"), TEXT)
-    keys |= {name: WHOLE if name == "seed" else TEXT for name in lead}
-    rest = {k: dtype for k, dtype in source.items() if k != "dataset" and not leave_out(k)}
-    return keys | rest | {"versions": TEXT}
-
-
-SUMMARY, TRAJECTORIES = tables.SCHEMAS["summary"], tables.SCHEMAS["trajectories"]
-ELSEWHERE = ("x_m", "y_m", "theta_rad", "time_step_s")  # columns of trajectories
-
-SCHEMAS: Mapping[str, Mapping[str, str]] = {
-    "runs": _schema(
-        (*KEYS[1:], "status", "message"),
-        {**SUMMARY, **RUN_METRICS},
-        lambda name: name.startswith("time_"),
-    ),
-    "steps": _schema(
-        KEYS[1:],
-        TRAJECTORIES,
-        lambda name: name in ELSEWHERE or name.startswith("true_"),
-    ),
-    "timings": _schema(
-        ("seed", "estimator"),
-        {name: dtype for name, dtype in SUMMARY.items() if name.startswith("time_")},
-        lambda name: False,
-    ),
-}
-"""Columns of each table of a campaign, in order, with their dtypes."""
-
-COMPARABLE = tuple(name for name, dtype in SCHEMAS["runs"].items() if dtype == REAL)
-"""Columns of `runs` by which estimators can be compared."""
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 @dataclass(frozen=True)
@@ -134,14 +98,14 @@ class Unit(NamedTuple):
         return [self._replace(estimators={k: text}) for k, text in self.estimators.items()]
 
 
-def work(unit: Unit) -> dict[str, pd.DataFrame]:
+def work(unit: Unit) -> dict[str, pa.Table]:
     """Run the cells of a unit.
 
     What an estimator raises is a row; so is what the simulation does.
 
     Returns
     -------
-    dict of DataFrame
+    dict of pyarrow.Table
         Rows of the tables of `SCHEMAS`.
 
     Raises
@@ -164,30 +128,22 @@ def work(unit: Unit) -> dict[str, pd.DataFrame]:
         if subjects.pop(name, None) is not None:
             parts.append(_tabulated(unit, dataset, reference, reference))
     parts += [_cell(unit, dataset, name, each, reference) for name, each in subjects.items()]
-    stacked = {name: pd.concat([part[name] for part in parts]) for name in SCHEMAS}
-    return {name: shaped(name, table.assign(**_keys(unit))) for name, table in stacked.items()}
+    return {name: stacked(name, [part[name] for part in parts]) for name in SCHEMAS}
 
 
-def failed(unit: Unit, message: str) -> dict[str, pd.DataFrame]:
+def failed(unit: Unit, message: str) -> dict[str, pa.Table]:
     """Rows that say why there is no estimate."""
-    names = list(unit.estimators)
-    keys: dict[str, Any] = _keys(unit) | {"seed": unit.seed, "estimator": names}
-    rows = {"runs": pd.DataFrame(keys | {"status": FAILED, "message": " ".join(message.split())})}
-    rows |= {"steps": pd.DataFrame(), "timings": pd.DataFrame(keys)}
-    return {name: shaped(name, table) for name, table in rows.items()}
-
-
-def shaped(name: str, table: pd.DataFrame) -> pd.DataFrame:
-    """The columns of a table of `SCHEMAS`, in order and with their dtypes; empty where missing."""
-    schema = SCHEMAS[name]
-    return table.reindex(columns=list(schema)).astype(dict(schema))
+    shared = _keys(unit) | {"status": FAILED, "message": " ".join(message.split())}
+    rows = [shared | {"estimator": name} for name in unit.estimators]
+    parts = {"runs": rows, "steps": [], "timings": rows}
+    return {name: table_of(name, some) for name, some in parts.items()}
 
 
 def _cell(
     unit: Unit, dataset: Dataset, name: str, subject: Estimator, reference: Estimate | None
-) -> dict[str, pd.DataFrame]:
+) -> dict[str, pa.Table]:
     """Rows of one estimator."""
-    made: dict[str, pd.DataFrame] = {}
+    made: dict[str, pa.Table] = {}
 
     def tabulate(dataset: Dataset, estimate: Estimate) -> None:
         made.update(_tabulated(unit, dataset, estimate, reference))
@@ -200,21 +156,26 @@ def _cell(
 
 def _tabulated(
     unit: Unit, dataset: Dataset, estimate: Estimate, reference: Estimate | None
-) -> dict[str, pd.DataFrame]:
-    summary = tables.summary_rows(dataset, estimate, reference=reference)
-    metrics = pd.DataFrame(run_metrics(dataset, estimate, reference, unit.metrics.skip))
-    path = tables.trajectories(dataset, estimate)
-    kept = path["step"].isin(unit.metrics.kept(dataset.poses))
+) -> dict[str, pa.Table]:
+    summary = tables.summary_scalars(dataset, estimate, reference=reference)
+    metrics = run_metrics(dataset, estimate, reference, unit.metrics.skip)
+    kept = np.intersect1d(unit.metrics.kept(dataset.poses), np.arange(dataset.poses))
+    paths = [
+        {k: v[kept] if isinstance(v, np.ndarray) else v for k, v in columns.items()}
+        for columns in tables.trajectory_columns(dataset, estimate)
+    ]
+    keys = _keys(unit)
+    runs = [a | b | keys for a, b in zip(summary, metrics, strict=True)]
     return {
-        "runs": pd.concat([summary, metrics], axis=1),
-        "steps": path[kept],
-        "timings": summary.head(1),
+        "runs": table_of("runs", runs),
+        "steps": table_of("steps", [path | keys for path in paths], len(kept)),
+        "timings": table_of("timings", runs[:1]),
     }
 
 
-def _keys(unit: Unit) -> dict[str, str]:
+def _keys(unit: Unit) -> dict[str, Any]:
     keys = {"campaign": unit.campaign, "scenario": unit.label, "scenario_hash": unit.digest}
-    return keys | {"versions": versions_in_words()}
+    return keys | {"seed": unit.seed, "versions": versions_in_words()}
 
 
 @cache

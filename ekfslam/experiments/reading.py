@@ -13,7 +13,8 @@ import numpy as np
 
 from ekfslam.errors import EkfslamError, FileFormatError, InputError, UnknownNameError
 from ekfslam.experiments.campaign import COMPARED, Campaign, Pairing, Variant
-from ekfslam.experiments.cells import COMPARABLE, Metrics
+from ekfslam.experiments.cells import Metrics
+from ekfslam.experiments.rows import COMPARABLE
 from ekfslam.registry import estimator_name, resolve
 from ekfslam.simulation import load_scenario, scenario_hash
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,13 +17,14 @@ from ekfslam.errors import FileFormatError
 from ekfslam.evaluation.monte_carlo import summarise
 from ekfslam.evaluation.over_time import nees_over_time
 from ekfslam.evaluation.paired import PAIRS, compare_pairs
-from ekfslam.experiments.cells import SCHEMAS
 from ekfslam.experiments.files import write_together
+from ekfslam.experiments.rows import SCHEMAS
 from ekfslam.experiments.store import Store, identity
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+FIGURES = ("nees-over-time", "run-means", "errors-over-time", "pairs", "sweep")
 EXPORTS = ("runs", "summary", "nees_over_time", "pairs", "timings")
 # The same text for each of a million steps stays on disk.
 LEFT_OUT = {"runs": (), "steps": ("campaign", "versions"), "timings": ()}
@@ -108,7 +110,8 @@ class CampaignResults:
     def save(self, figures: bool = True) -> list[Path]:
         """Write the tables as CSV, and figures as PNG and PDF, beside the Parquet files.
 
-        Files appear when all of them have been written; if anything goes wrong, none does.
+        Files appear when all of them have been written; if anything goes wrong, none does. Figures
+        of an earlier state that there are no more go.
 
         Parameters
         ----------
@@ -124,7 +127,11 @@ class CampaignResults:
         InputError
             If the folder cannot be written to.
         """
-        return write_together(self.folder, lambda place: self._write(place, figures))
+        written = write_together(self.folder, lambda place: self._write(place, figures))
+        if figures:  # of an earlier state, and not of this one
+            for path in set(filter(_is_figure, self.folder.iterdir())).difference(written):
+                path.unlink()
+        return written
 
     def _write(self, folder: Path, figures: bool) -> None:
         for name in EXPORTS:
@@ -183,6 +190,10 @@ def read_campaign(folder: str | Path) -> CampaignResults:
     except (OSError, ValueError, LookupError, TypeError):
         raise FileFormatError(f"{path}: damaged, or not of a campaign") from None
     return CampaignResults(Path(folder), config)
+
+
+def _is_figure(path: Path) -> bool:
+    return re.fullmatch(rf"({'|'.join(FIGURES)})(-\d+)?\.(png|pdf)", path.name) is not None
 
 
 def _competitors(estimator: str, series: Collection[Any]) -> list[str]:

@@ -24,9 +24,9 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from ekfslam.errors import FileFormatError, InputError
-from ekfslam.evaluation.schema import REAL, TEXT, WHOLE
-from ekfslam.experiments.cells import SCHEMAS, Unit, shaped
+from ekfslam.experiments.cells import Unit
 from ekfslam.experiments.files import SCRATCH
+from ekfslam.experiments.rows import SCHEMAS, arrow_schema
 from ekfslam.storage import atomic_write
 
 try:
@@ -39,24 +39,18 @@ SUPERSEDED = "superseded"
 FILE = "__filename"
 _NAME = re.compile(r"[0-9a-f]+-[0-9a-f]+-\d+-[0-9a-f]+\.parquet")
 _UNFINISHED = re.compile(rf"\.{_NAME.pattern}\.")
-ARROW = {TEXT: pa.string(), WHOLE: pa.int64(), REAL: pa.float64()}
 PANDAS = {pa.string(): pd.StringDtype(), pa.int64(): pd.Int64Dtype()}
 
 
-def packed(tables: Mapping[str, pd.DataFrame]) -> dict[str, bytes]:
+def packed(tables: Mapping[str, pa.Table]) -> dict[str, bytes]:
     """Tables as Parquet files; the same rows give the same bytes."""
-    return {name: _parquet(name, tables[name]) for name in TABLES}
+    return {name: _parquet(tables[name]) for name in TABLES}
 
 
-def _parquet(name: str, table: pd.DataFrame) -> bytes:
+def _parquet(table: pa.Table) -> bytes:
     stream = BytesIO()
-    content = pa.Table.from_pandas(table, schema=_arrow_schema(name), preserve_index=False)
-    pq.write_table(content, stream, compression="zstd")
+    pq.write_table(table.combine_chunks(), stream, compression="zstd")
     return stream.getvalue()
-
-
-def _arrow_schema(name: str) -> pa.Schema:
-    return pa.schema([(column, ARROW[dtype]) for column, dtype in SCHEMAS[name].items()])
 
 
 class Store:
@@ -162,11 +156,9 @@ class Store:
             For a file that is damaged.
         """
         columns = list(columns or SCHEMAS[table])
-        if not names:
-            return shaped(table, pd.DataFrame()).reindex(columns=columns)
         paths = [str(self.folder / table / name) for name in names]
         try:
-            dataset = ds.dataset(paths, schema=_arrow_schema(table), format="parquet")
+            dataset = ds.dataset(paths, schema=arrow_schema(table), format="parquet")
             found = dataset.to_table(columns=columns)
         except (pa.ArrowException, OSError) as error:
             text = " ".join(str(error).split())
