@@ -127,6 +127,19 @@ def test_a_summary_of_what_is_there(command, tmp_path):
     assert partial.out.startswith("3 of 12 cells are done; this is what they say\n")
 
 
+def test_figures_of_an_earlier_state_go(command, tmp_path):
+    text = FILE.replace("[4.0, 5.0]", "[4.0]").replace(', "campaigns:Broken"', "")
+    (tmp_path / "mine.toml").write_text(text)
+    command("campaign", "mine.toml", "--out", "out")
+    assert (tmp_path / "out" / "pairs.png").exists()
+    (tmp_path / "out" / "pairs-of-mine.png").touch()
+    (tmp_path / "mine.toml").write_text(text.partition("[compare]")[0])
+    command("campaign", "mine.toml", "--out", "out")
+    left = {path.name for path in (tmp_path / "out").glob("*.png")}
+    assert left >= {"nees-over-time.png", "pairs-of-mine.png"}
+    assert "pairs.png" not in left
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
