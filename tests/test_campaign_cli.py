@@ -101,6 +101,20 @@ def test_who_stops_a_campaign_is_told_once_that_it_goes_on(command, monkeypatch)
     assert shown.err == "stopped; what was done stays, run it again to go on\n"
 
 
+@pytest.mark.parametrize("name", ["campaign", "summary"])
+def test_files_are_there_when_nobody_reads_to_the_end(command, tmp_path, monkeypatch, name):
+    def closed(results):
+        raise BrokenPipeError
+
+    command("campaign", "mine.toml", "--out", "out", "--no-figures")
+    (tmp_path / "out" / "summary.csv").unlink()
+    monkeypatch.setattr("ekfslam.cli.campaigns.print_campaign", closed)
+    words = {"campaign": ["mine.toml", "--out", "out"], "summary": ["out"]}[name]
+    with pytest.raises(BrokenPipeError):
+        command(name, *words, "--no-figures")
+    assert (tmp_path / "out" / "summary.csv").exists()
+
+
 def test_it_goes_on_and_says_so(command):
     command("campaign", "mine.toml", "--out", "out", "--seeds", "1", "--no-figures")
     again = command("campaign", "mine.toml", "--out", "out", "--no-figures")

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ekfslam.cli.printing import print_campaign
 from ekfslam.cli.progress import progress
+
+if TYPE_CHECKING:
+    from ekfslam.experiments import CampaignResults
 
 Figures = Annotated[bool, typer.Option(help="Whether to draw figures, too.")]
 
@@ -59,9 +62,13 @@ def campaign(
     except KeyboardInterrupt:
         _tell("stopped; what was done stays, run it again to go on")
         raise
+    _show(results, out, figures)
+
+
+def _show(results: CampaignResults, folder: Path, figures: bool) -> None:
+    files = results.save(figures=figures)  # first: whoever reads the tables may close the pipe
     print_campaign(results)
-    files = results.save(figures=figures)
-    print(f"{len(files)} files in {out}: {', '.join(path.name for path in files)}")
+    print(f"{len(files)} files in {folder}: {', '.join(path.name for path in files)}")
 
 
 def _tell(words: str) -> None:
@@ -81,6 +88,4 @@ def summary(
     from ekfslam.experiments import read_campaign
 
     results = read_campaign(folder)
-    print_campaign(results)
-    files = results.save(figures=figures)
-    print(f"{len(files)} files in {folder}: {', '.join(path.name for path in files)}")
+    _show(results, folder, figures)
