@@ -22,7 +22,7 @@ from ekfslam.evaluation import judged
 from ekfslam.evaluation.run_metrics import RUN_METRICS, run_metrics
 from ekfslam.evaluation.tables import summary_rows, trajectories
 from ekfslam.experiments import load_campaign, read_campaign, run_campaign
-from ekfslam.experiments.rows import SCHEMAS
+from ekfslam.experiments.rows import SCHEMAS, table_of
 from ekfslam.experiments.store import Store
 from ekfslam.simulation import simulate
 
@@ -137,6 +137,17 @@ def test_a_draw_that_cannot_be_made_is_rows_too(tmp_path):
     assert (runs["status"] == "failed").all()
     assert runs["message"].str.contains("InputError: .*range").all()
     assert len(runs) == 6
+
+
+def test_what_is_not_known_is_empty():
+    part = {"estimator": "ekf", "series": "", "nis": None, "nees": np.array([1.0, np.nan])}
+    table = table_of("steps", [part, {"step": np.array([3, 4])}], rows=2)
+    assert table["estimator"].to_pylist() == ["ekf", "ekf", None, None]
+    assert table["nees"].to_pylist() == [1.0, None, None, None]
+    assert table["step"].to_pylist() == [None, None, 3, 4]
+    for name in ("series", "nis", "cov_xx", "seed"):
+        assert table[name].null_count == 4, name
+    assert table_of("steps", []).num_rows == 0
 
 
 def test_one_dtype_for_each_column(finished):
