@@ -15,6 +15,7 @@ from baselines.noise import chosen
 from baselines.stepwise import Arrivals, checked_count, fed, opened
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
+from ekfslam.geometry import Array
 from ekfslam.registry import Progress
 
 
@@ -110,8 +111,11 @@ class GtsamIsam2:
         def update(new: Arrivals) -> None:
             isam.update(new.graph, new.values)
 
+        def marginal(variables: list[int]) -> list[Array]:
+            return [isam.marginalCovariance(key) for key in variables]
+
         every = self.marginal_every if self.marginals else None
-        run = fed(problem, isam, update, every, progress=progress)
+        run = fed(problem, isam, update, marginal, every, progress=progress)
         for _ in range(self.final_updates):
             isam.update()
         values = isam.calculateEstimate()

@@ -73,6 +73,7 @@ def fed(
     problem: LandmarkGraph,
     smoother: Any,
     update: Callable[[Arrivals], None],
+    marginal: Callable[[list[int]], list[Array]],
     every: int | None,
     lag: int | None = None,
     progress: Progress | None = None,
@@ -85,6 +86,8 @@ def fed(
     smoother : gtsam.ISAM2 or gtsam.IncrementalFixedLagSmoother
     update : callable
         Gives the smoother what is new at a step.
+    marginal : callable
+        Covariances of the variables of some keys, as the smoother knows them.
     every : int or None
         Covariances of the newest pose are recovered at every so many steps and at the last, or
         not at all.
@@ -131,7 +134,7 @@ def fed(
         seconds[k] = time.perf_counter() - begin
         if every is not None and (k % every == 0 or k == steps - 1):
             begin = time.perf_counter()
-            marginals = [smoother.marginalCovariance(keys.pose_key(k, robot)) for robot in robots]
+            marginals = marginal([keys.pose_key(k, robot) for robot in robots])
             blocks[:, k] = geo.body_to_additive(online[:, k], np.array(marginals))
             spent += time.perf_counter() - begin
         if progress is not None and k % 50 == 0:

@@ -199,3 +199,20 @@ def test_it_takes_part_in_a_comparison():
     row = comparison.summary.set_index("estimator").loc["gtsam-fixed-lag(lag=5)"]
     assert (row["status"], row["series"]) == ("ok", "online")
     assert np.isfinite(row["ate_position_rmse_m"])
+
+
+def test_a_team_is_as_sure_as_isam2_says():
+    """gtsam's tree says otherwise after poses of several robots have left it together."""
+    data = ekfslam.simulate("team", seed=0)
+    sure = resolve("gtsam-isam2", marginal_every=20).estimate(data)
+    ours = resolve("gtsam-fixed-lag", marginal_every=20).estimate(data)
+    known = np.isfinite(ours.online.covariances[0, :, 0, 0])
+    known[0] = False  # one of them starts exactly
+    both = [
+        np.sqrt(each.online.covariances[:, known][:, :, [0, 1, 2], [0, 1, 2]])
+        for each in (ours, sure)
+    ]
+    # They linearise at different times, which moves a standard deviation by a few percent.
+    np.testing.assert_allclose(both[0], both[1], rtol=0.1)
+    joint = ours.joint_covariance[:9, :9]
+    np.testing.assert_allclose(joint[:3, :3], ours.online.covariances[0, -1], rtol=1e-6, atol=1e-12)

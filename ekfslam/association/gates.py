@@ -10,6 +10,7 @@ Autonomy (Alg. 2) on the squared one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +61,16 @@ def quantiles(probability: float, most: int) -> NDArray[np.float64]:
     InputError
         For a probability outside [0, 1).
     """
+    chi2_gate(probability, 1)  # refuses what is no probability
+    return np.array(_quantiles(float(probability), most))
+
+
+@cache
+def _quantiles(probability: float, most: int) -> tuple[float, ...]:
+    """What a campaign would compute anew for every run."""
     from scipy.special import chdtri
 
-    chi2_gate(probability, 1)  # refuses what is no probability
-    return np.append(0.0, chdtri(np.arange(1, most + 1), 1.0 - probability))
+    return (0.0, *chdtri(np.arange(1, most + 1), 1.0 - probability).tolist())
 
 
 @dataclass(frozen=True)
