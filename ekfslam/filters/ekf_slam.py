@@ -14,19 +14,21 @@ import numpy as np
 from ekfslam.compiled import compiled, inlined, now
 from ekfslam.estimates import Decision
 from ekfslam.filters.initiation import extend
-from ekfslam.filters.kernels import downdate, project, solve, times_transposed
+from ekfslam.filters.kernels import downdate, move, project, solve, times_transposed
 from ekfslam.filters.measure import BANKED, POINT, POSE, moved, placed, rows_of
 from ekfslam.filters.options import KNOWN
 from ekfslam.filters.recognition import by_identity
 from ekfslam.filters.variants import (
-    OC,
+    AT_ESTIMATES,
+    OF_THEIR_OWN,
+    ROBOCENTRIC,
     foresee_at,
-    pose_of,
-    propagate,
+    move_elsewhere,
     retract,
-    settle_frame,
+    settle_pose,
 )
 from ekfslam.filters.variants.iterated import foresee_again, iterate
+from ekfslam.filters.variants.robocentric import compose
 
 ACCEPTED, REJECTED = int(Decision.ACCEPTED), int(Decision.REJECTED)
 DONE, GROW, INDEFINITE, LOOK = range(4)
@@ -45,7 +47,11 @@ def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, l
         first, last = offsets[k], offsets[k + 1]
         if not has_room(slam, register, last - first, settings):
             return k, GROW
-        predict(slam, deltas[:, k], Qs[:, k], k, register, sightings, first, last, settings)
+        if settings.variant in AT_ESTIMATES:
+            predict(slam, deltas[:, k], Qs[:, k])
+        else:
+            moves = deltas[:, k], Qs[:, k]
+            predict_elsewhere(slam, *moves, k, register, sightings, first, last, settings)
         log.nis[k] = 0.0
         if last > first and not settings.plain:
             return k, LOOK
@@ -61,6 +67,8 @@ def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, l
             extend(slam, register, sightings, first, until, settings, log)
             first = until
         write_step(slam, k, settings, log)
+        if settings.variant in OF_THEIR_OWN:
+            settle_pose(settings.variant, slam, log.poses[0, k], log.covariances[0, k])
         log.seconds[k] = now() - begin
     return stop, DONE
 
@@ -78,23 +86,31 @@ def has_room(slam, register, rows, settings):  # type: ignore[no-untyped-def]
 @inlined
 def write_step(slam, k, settings, log):  # type: ignore[no-untyped-def]
     """Note poses and covariances of a step."""
-    settle_frame(settings.variant, slam)
-    mean, P, first = slam.mean, slam.covariance, slam.points.first
     for robot in range(settings.robots):
-        at, pose, covariance = POSE * robot, log.poses[robot, k], log.covariances[robot, k]
-        pose_of(settings.variant, mean, P, first, at, pose, covariance)
+        at = POSE * robot
+        log.poses[robot, k] = slam.mean[at : at + POSE]
+        for i in range(POSE):
+            for j in range(i, POSE):
+                value = slam.covariance[at + i, at + j]
+                log.covariances[robot, k, i, j] = log.covariances[robot, k, j, i] = value
     if log.dof[k] == 0:
         log.nis[k] = np.nan
 
 
 @inlined
-def predict(slam, deltas, Qs, k, register, sightings, first, last, settings):  # type: ignore[no-untyped-def]
-    """The robots move (Solà, 2.3.2; Ciatto, 3.3) before they see the rows first to last."""
-    seen = np.empty(0, np.int64)
-    if settings.variant == OC:
-        seen = mapped(register, sightings, first, last, settings)
+def predict(slam, deltas, Qs):  # type: ignore[no-untyped-def]
+    """The robots move (Solà, 2.3.2; Ciatto, 3.3)."""
     for robot in range(deltas.shape[0]):
-        propagate(settings.variant, slam, POSE * robot, deltas[robot], Qs[robot], k, seen)
+        at = POSE * robot
+        move(slam.mean, slam.covariance, slam.size[0], at, deltas[robot], Qs[robot])
+
+
+@compiled
+def predict_elsewhere(slam, deltas, Qs, k, register, sightings, first, last, settings):  # type: ignore[no-untyped-def]
+    """The robots move, not linearised at the estimate, before they see the rows first to last."""
+    for robot in range(deltas.shape[0]):
+        seen = mapped(register, sightings, first, last, settings)
+        move_elsewhere(settings.variant, slam, POSE * robot, deltas[robot], Qs[robot], k, seen)
 
 
 @compiled
@@ -122,66 +138,48 @@ def end_of_look(sightings, first, last):  # type: ignore[no-untyped-def]
 def update(slam, register, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
     """Correct with what is seen again, jointly or one after another (Solà, 2.3.3).
 
-    Returns the squared Mahalanobis norm of the innovations, NaN if their covariance was not
-    positive definite, and how many rows they have.
+    Not with observations of a bank of hypotheses, which weighs for itself. Returns the squared
+    Mahalanobis norm of the innovations, NaN if their covariance was not positive definite, and how
+    many rows they have.
     """
     accepted, sizes = 0, register.sizes
     for i in range(first, last):
         index = log.landmark[i]
         if log.decision[i] == ACCEPTED and (index < 0 or sizes[index] != BANKED):
             accepted += 1
-    total, dof = 0.0, 0
-    if accepted > 0:
-        total, dof = correct_mapped(
-            slam, register, sightings, first, last, accepted, settings.joint, settings, log
-        )
-    settle_frame(settings.variant, slam)
-    return total, dof
-
-
-@inlined
-def correct_mapped(slam, register, sightings, first, last, accepted, joint, settings, log):  # type: ignore[no-untyped-def]
-    """Correct with the accepted observations of a look, but not those of a bank of hypotheses."""
-    n, kind, variant = slam.size[0], sightings.kind[first], settings.variant
-    mean, P, points = slam.mean, slam.covariance, slam.points.at
-    d, together = rows_of(kind), accepted if joint else 1
+    total, dof, start = 0.0, 0, first if accepted > 0 else last
+    n, d, variant = slam.size[0], rows_of(sightings.kind[first]), settings.variant
+    together = accepted if settings.joint else 1
     rows, step = np.empty((d * together, n)), np.empty(n)
     S, z = np.empty((d * together, d * together)), np.empty(d * together)
-    total, dof, start = 0.0, 0, first
     while start < last:
-        stop = last if joint else start + 1
+        stop, m, nis = last if settings.joint else start + 1, 0, 0.0
         for iteration in range(settings.iterations):
+            again = iteration > 0
             m = stack(
-                slam,
-                register,
-                sightings,
-                start,
-                stop,
-                together,
-                iteration > 0,
-                rows,
-                S,
-                z,
-                settings,
-                log,
+                slam, register, sightings, start, stop, together, again, rows, S, z, settings, log
             )
             if m == 0:
                 break
             nis = solve(rows, S, z, m, n, step)
             if np.isnan(nis):
-                return nis, dof
-            if iteration == 0:
+                break
+            if not again:
                 total += nis
                 dof += m
-            if settings.iterations > 1:
-                if iteration == 0:
-                    points[:n] = mean[:n]
-                if iterate(mean, points, step, n) < settings.tolerance:
-                    break
+            if settings.iterations > 1 and (
+                iterate(slam.mean, slam.points.at, step, n, again) < settings.tolerance
+            ):
+                break
+        if np.isnan(nis):
+            total = np.nan
+            break
         if m > 0:
-            retract(variant, mean, step, n, settings.poses)
-            downdate(P, rows, m, n)
+            retract(variant, slam.mean, step, n, settings.poses)
+            downdate(slam.covariance, rows, m, n)
         start = stop
+    if variant == ROBOCENTRIC:
+        compose(slam.mean, slam.covariance, n)
     return total, dof
 
 

@@ -21,6 +21,7 @@ from ekfslam.filters.ekf_slam import (
     LOOK,
     end_of_look,
     predict,
+    predict_elsewhere,
     run,
     update,
     write_step,
@@ -42,12 +43,13 @@ from ekfslam.filters.recognition import (
 from ekfslam.filters.upkeep import upkeep
 from ekfslam.filters.variants import (
     ALONE,
+    AT_ESTIMATES,
     EKF,
     INVARIANT,
     NAMES,
+    OF_THEIR_OWN,
     ROBOCENTRIC,
-    pose_of,
-    settle_frame,
+    settle_pose,
 )
 from ekfslam.filters.variants.robocentric import MAP, compose
 from ekfslam.filters.waiting import MOST
@@ -189,6 +191,9 @@ class Engine:
         prepare(update, slam, register, *scan, settings, log)
         prepare(extend, slam, register, *scan, settings, log)
         prepare(write_step, slam, 0, settings, log)
+        if settings.variant in OF_THEIR_OWN:
+            place = log.poses[0, 0], log.covariances[0, 0]
+            prepare(settle_pose, settings.variant, slam, *place)
         if len(journal.event):
             prepare(note_corrections, *look, log, journal)
             prepare(note_points, *look, settings, log, journal)
@@ -227,6 +232,9 @@ class Engine:
                 if not self._observe(sightings, first, last, start, log, journal):
                     return start, INDEFINITE
                 write_step(self.slam.arrays, start, self.settings, log)
+                if (variant := self.settings.variant) in OF_THEIR_OWN:
+                    place = log.poses[0, start], log.covariances[0, start]
+                    settle_pose(variant, self.slam.arrays, *place)
                 log.seconds[start] = now() - begin
                 start += 1
             else:
@@ -237,8 +245,12 @@ class Engine:
         """Move the robots, (R, 3) and (R, 3, 3); what they will see is not known (no rows)."""
         self._clock[0] = step
         slam, register = self.slam.arrays, self.register
-        settle_frame(self.settings.variant, slam)  # the end of the step before
-        predict(slam, deltas, Qs, step, register, unseen, 0, 0, self.settings)
+        if self.settings.variant == ROBOCENTRIC:  # the end of the step before
+            compose(slam.mean, slam.covariance, self.slam.size)
+        if self.settings.variant in AT_ESTIMATES:
+            predict(slam, deltas, Qs)
+        else:
+            predict_elsewhere(slam, deltas, Qs, step, register, unseen, 0, 0, self.settings)
 
     def observe(self, sightings: Sightings, log: Log) -> bool:
         """All observations of one step; whether innovation covariances were positive definite."""
@@ -356,12 +368,12 @@ class Engine:
         slam, variant, robots = self.slam, self.settings.variant, self.settings.robots
         if variant not in (INVARIANT, ROBOCENTRIC):
             return slam.mean[: POSE * robots].reshape(-1, POSE).copy(), slam.block(0, POSE * robots)
-        mean, P, _, points = slam.arrays
+        arrays = slam.arrays
         if variant == ROBOCENTRIC:  # as if the step were over; the filter does not notice
-            mean, P = mean[:MAP].copy(), P[:MAP, :MAP].copy()
-            compose(mean, P, MAP)
+            mean, P = arrays.mean[:MAP].copy(), arrays.covariance[:MAP, :MAP].copy()
+            arrays = arrays._replace(mean=mean, covariance=P, size=np.array([MAP]))
         pose, covariance = np.empty(POSE), np.empty((POSE, POSE))
-        pose_of(variant, mean, P, points.first, 0, pose, covariance)
+        settle_pose(variant, arrays, pose, covariance)
         return pose[None], covariance
 
     @property

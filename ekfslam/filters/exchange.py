@@ -9,8 +9,8 @@ import numpy as np
 from ekfslam import geometry as geo
 from ekfslam.dataset import Prior
 from ekfslam.filters.measure import POINT, POSE
-from ekfslam.filters.variants import INVARIANT, ROBOCENTRIC, pose_of
-from ekfslam.filters.variants.robocentric import BASE, MAP
+from ekfslam.filters.variants import INVARIANT, ROBOCENTRIC
+from ekfslam.filters.variants.robocentric import BASE, MAP, pose_of
 from ekfslam.geometry import Array
 
 
@@ -76,7 +76,7 @@ def exchanged(variant: int, mean: Array, P: Array, first: Array) -> tuple[Array,
 def _from_robot(mean: Array, P: Array, start: Array) -> tuple[Array, Array]:
     """A robocentric state in the world, see `ekfslam.filters.variants.robocentric`."""
     pose, covariance = np.empty(POSE), np.empty((POSE, POSE))
-    pose_of(ROBOCENTRIC, mean, P, start, 0, pose, covariance)
+    pose_of(start, mean, P, pose, covariance)
     points = geo.from_frame(pose, mean[MAP:].reshape(-1, POINT))
     R = geo.rotation(pose[2])
     # With respect to the pose of the start: that of the robot, and that of each landmark.

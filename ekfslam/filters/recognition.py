@@ -34,7 +34,7 @@ from ekfslam.filters.options import (
     NEAREST,
     SMALLEST_DISTANCE,
 )
-from ekfslam.filters.variants import INVARIANT, foresee_at, pose_of
+from ekfslam.filters.variants import INVARIANT, foresee_at
 from ekfslam.filters.variants.right_invariant import additive
 from ekfslam.filters.visibility import feasible
 from ekfslam.geometry import Array
@@ -431,8 +431,13 @@ def confirmed(state, sightings, i, settings):  # type: ignore[no-untyped-def]
     here, mount = mean[pose : pose + 3], sightings.mount[i]
     value, R = sightings.values[i], sightings.covariance[i]
     locate(sightings.kind[i], mount, here, value, R, where, G, noise)
-    own, block = np.empty(3), np.empty((3, 3))
-    pose_of(settings.variant, mean, P, state.slam.points.first, pose, own, block)
+    block = np.empty((3, 3))
+    if settings.variant == INVARIANT:
+        additive(mean, P, 0, 3, block)
+    else:
+        for j in range(3):
+            for k in range(3):
+                block[j, k] = entry(P, pose + j, pose + k)
     for a in range(POINT):
         for b in range(POINT):
             for j in range(3):

@@ -23,23 +23,24 @@ from __future__ import annotations
 import numpy as np
 
 from ekfslam.compiled import compiled, inlined
-from ekfslam.filters.kernels import move, shift
+from ekfslam.filters.kernels import shift
 from ekfslam.filters.measure import POINT, POSE, expect, foresee, locate, placed
-from ekfslam.filters.variants import fej, ideal, iterated, oc, right_invariant, robocentric
+from ekfslam.filters.variants import fej, ideal, oc, right_invariant, robocentric
 
 NAMES = ("ekf", "iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
 EKF, ITERATED, IDEAL, FEJ, OC, INVARIANT, ROBOCENTRIC = range(len(NAMES))
 ALONE = (OC, INVARIANT, ROBOCENTRIC)  # filters of one robot
+AT_ESTIMATES = (EKF, ITERATED, ROBOCENTRIC)  # whose motion is that of the plain filter
+OF_THEIR_OWN = (INVARIANT, ROBOCENTRIC)  # coordinates, which the world's are made from
 
 _fej, _ideal, _oc, _invariant = fej.move, ideal.move, oc.move, right_invariant.move
-_compose, _pose_of = robocentric.compose, robocentric.pose_of
-_retract, _additive = right_invariant.retract, right_invariant.additive
-_foresee_again = iterated.foresee_again
+_compose, _retract = robocentric.compose, right_invariant.retract
+_invariant_pose_of, _robocentric_pose_of = right_invariant.pose_of, robocentric.pose_of
 
 
-@inlined
-def propagate(variant, slam, at, delta, Q, k, seen):  # type: ignore[no-untyped-def]
-    """Move the robot whose pose stands at an offset, in step k.
+@compiled
+def move_elsewhere(variant, slam, at, delta, Q, k, seen):  # type: ignore[no-untyped-def]
+    """Move the robot whose pose stands at an offset, in step k, not linearised at the estimate.
 
     Parameters
     ----------
@@ -53,10 +54,8 @@ def propagate(variant, slam, at, delta, Q, k, seen):  # type: ignore[no-untyped-
         _fej(mean, P, n, points.at, at, delta, Q)
     elif variant == OC:
         _oc(mean, P, n, points.at, points.first, at, delta, Q, seen)
-    elif variant == INVARIANT:
-        _invariant(mean, P, n, delta, Q)
     else:
-        move(mean, P, n, at, delta, Q)
+        _invariant(mean, P, n, delta, Q)
 
 
 @inlined
@@ -128,28 +127,15 @@ def retract(variant, mean, step, n, poses):  # type: ignore[no-untyped-def]
         shift(mean, step, n, poses)
 
 
-@inlined
-def settle_frame(variant, slam):  # type: ignore[no-untyped-def]
-    """After a correction, and at the end of a step: the robocentric frame follows the robot."""
-    if variant == ROBOCENTRIC:
-        _compose(slam.mean, slam.covariance, slam.size[0])
+@compiled
+def settle_pose(variant, slam, pose, covariance):  # type: ignore[no-untyped-def]
+    """Pose (3,) and additive covariance (3, 3) of a filter in `OF_THEIR_OWN`; both written.
 
-
-@inlined
-def pose_of(variant, mean, P, first, at, pose, covariance):  # type: ignore[no-untyped-def]
-    """A robot's pose (3,) and its additive covariance (3, 3) in the world; both written.
-
-    The right-invariant and the robocentric filter have the mean of the prior in `first`.
+    The frame of a robocentric filter follows the robot. Both have the mean of the prior in `first`.
     """
+    mean, P, first = slam.mean, slam.covariance, slam.points.first
     if variant == ROBOCENTRIC:
-        _pose_of(first[:POSE], mean, P, pose, covariance)
-        return
-    pose[:] = mean[at : at + POSE]
-    if variant == INVARIANT:
-        pose[0] += first[0]
-        pose[1] += first[1]
-        _additive(mean, P, 0, POSE, covariance)
-        return
-    for i in range(POSE):
-        for j in range(i, POSE):
-            covariance[i, j] = covariance[j, i] = P[at + i, at + j]
+        _compose(mean, P, slam.size[0])
+        _robocentric_pose_of(first, mean, P, pose, covariance)
+    else:
+        _invariant_pose_of(first, mean, P, pose, covariance)

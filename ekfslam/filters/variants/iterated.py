@@ -26,10 +26,14 @@ def foresee_again(kind, size, elsewhere, mean, points, pose, at, value, H, nu): 
 
 
 @compiled
-def iterate(mean, points, step, n):  # type: ignore[no-untyped-def]
-    """Move the points to where the step leads; returns how far, in any turned world the same."""
+def iterate(mean, points, step, n, again):  # type: ignore[no-untyped-def]
+    """Move the points to where the step leads; returns how far, in any turned world the same.
+
+    They start at the mean, unless this happens again.
+    """
     moved = 0.0
     for j in range(n):
-        before, points[j] = points[j], mean[j] + step[j]
+        before = points[j] if again else mean[j]
+        points[j] = mean[j] + step[j]
         moved += (points[j] - before) ** 2
     return math.sqrt(moved)

@@ -91,3 +91,22 @@ def additive(mean, P, at, size, out):  # type: ignore[no-untyped-def]
             with_b = P[min(b, 2), max(b, 2)]
             value = P[a, b] + turn[i] * with_b + with_a * turn[j] + turn[i] * heading * turn[j]
             out[i, j] = out[j, i] = value
+
+
+@compiled
+def pose_of(origin, mean, P, pose, covariance):  # type: ignore[no-untyped-def]
+    """The pose of the robot in the world, and its additive covariance.
+
+    Parameters
+    ----------
+    origin : (>= 2,) ndarray
+        Of the errors, in the world.
+    mean, P
+        The map.
+    pose : (3,) ndarray
+        Written.
+    covariance : (3, 3) ndarray
+        Written.
+    """
+    pose[0], pose[1], pose[2] = mean[0] + origin[0], mean[1] + origin[1], mean[2]
+    additive(mean, P, 0, 3, covariance)

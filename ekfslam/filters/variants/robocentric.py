@@ -93,7 +93,7 @@ def pose_of(start, mean, P, pose, covariance):  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    start : (3,) ndarray
+    start : (>= 3,) ndarray
         Mean of the prior, which the start stands for.
     mean, P
         The map, between two steps: u is 0.
