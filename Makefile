@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench reference bars study clean
+.PHONY: demo test bench reference bars study campaigns clean
 
 demo: $(VENV)/.installed
 	@echo "== four estimators on a simulated park and on the recorded Victoria Park =="
@@ -34,6 +34,12 @@ bars: $(VENV)/.installed
 # Rewrites results/study-association.
 study: $(VENV)/.installed
 	$(BIN)/ekfslam study association
+
+# Runs the campaigns of docs/consistency.md, or what is left of them; some 20 minutes on two cores.
+campaigns: $(VENV)/.installed
+	for campaign in hard-loop loop-15 car-loop heading-sweep circle loop-15-rb; do \
+	  $(BIN)/ekfslam campaign experiments/$$campaign.toml --out results/$$campaign --workers 2 || exit 1; \
+	done
 
 $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
