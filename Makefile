@@ -35,7 +35,7 @@ bars: $(VENV)/.installed
 study: $(VENV)/.installed
 	$(BIN)/ekfslam study association
 
-# Runs the campaigns of docs/consistency.md, or what is left of them; some 20 minutes on two cores.
+# Runs the campaigns of docs/consistency.md, or what is left of them: under an hour on two cores.
 campaigns: $(VENV)/.installed
 	for campaign in hard-loop loop-15 car-loop heading-sweep circle loop-15-rb; do \
 	  $(BIN)/ekfslam campaign experiments/$$campaign.toml --out results/$$campaign --workers 2 || exit 1; \
