@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -28,11 +29,13 @@ if TYPE_CHECKING:
 Done = tuple[Unit, dict[str, bytes]]
 
 LIVES = 3  # workers that a unit may take with it before it is given up
-AHEAD = 3  # units per thread that the scheduler knows of: none has to wait for this process
+AHEAD = 3  # tasks per thread that the scheduler knows of: none has to wait for this process
+LONG = 1.0  # [s] that a task may take: units that are shorter share one, or the cluster is busier
+TOGETHER = 16  # with handing out tasks than with work; but no more than so many
 PATIENCE = "10s"  # for a scheduler to answer
 SETTINGS = {
     "distributed.scheduler.allowed-failures": LIVES - 1,
-    "distributed.scheduler.worker-saturation": 1.0,  # a worker has one unit, and loses no other
+    "distributed.scheduler.worker-saturation": 1.0,  # a worker has one task, and loses no other
     "distributed.worker.multiprocessing-method": "spawn",
     # A worker that dies is started again. This is for machines that vanish: a worker that is not
     # back after it, since it has died once more, would be given up for good.
@@ -45,8 +48,9 @@ def run_units(
 ) -> Iterator[Done]:
     """Work on units, which come back as they finish, with their tables as files.
 
-    A unit whose worker dies runs again. One that has taken `LIVES` workers with it is split into
-    its estimators; an estimator that does so alone gives a row that says so.
+    What was being worked on when a worker died runs again. Units that have taken `LIVES` workers
+    with them are tried one by one, a single one is split into its estimators; an estimator that
+    does so alone gives a row that says so.
 
     Parameters
     ----------
@@ -137,36 +141,57 @@ def _environment_kept() -> Iterator[None]:
         os.environ.update(before)
 
 
+def together(units: Sequence[Unit]) -> tuple[list[dict[str, bytes]], float]:
+    """The files of some units, and the time that one took [s]."""
+    begin = time.perf_counter()
+    files = [alone(unit) for unit in units]
+    return files, (time.perf_counter() - begin) / len(units)
+
+
 def _finished(client: Client, units: Sequence[Unit]) -> Iterator[Done]:
     from distributed import KilledWorker, as_completed
     from distributed.client import FutureCancelledError
 
     waiting = deque(units)
-    running: dict[Any, Unit] = {}
+    suspects: deque[Unit] = deque()  # that killed workers with others: one by one
+    running: dict[Any, list[Unit]] = {}
     finished = as_completed(loop=client.loop)
 
-    def hand_out() -> None:
-        threads = sum(client.nthreads().values())
-        while waiting and len(running) < AHEAD * max(1, threads):
-            future = client.submit(alone, waiting[0], pure=False)
-            running[future.key] = waiting.popleft()
+    def hand_out(share: int) -> None:
+        threads = max(1, sum(client.nthreads().values()))
+        while (waiting or suspects) and len(running) < AHEAD * threads:
+            fair = -(-len(waiting) // (AHEAD * threads))  # at the end all are busy equally long
+            some = [suspects.popleft()] if suspects else _taken(waiting, min(share, fair))
+            future = client.submit(together, some, pure=False)
+            running[future.key] = some
             finished.add(future)
 
-    hand_out()
+    hand_out(1)
+    share = 1
     for future in finished:
-        unit = running.pop(future.key)
-        done = None
+        some = running.pop(future.key)
+        done: list[Done] = []
         try:
-            done = future.result()
+            files, each = future.result()
+            done = list(zip(some, files, strict=True))
+            share = max(1, min(TOGETHER, int(LONG / each)))
         except KilledWorker:
-            if len(unit.estimators) == 1:
-                done = packed(failed(unit, "the worker died, each time that it ran"))
+            (unit, *others) = some
+            if others:
+                suspects.extend(some)
+            elif len(unit.estimators) > 1:
+                suspects.extend(unit.alone())
             else:
-                waiting.extendleft(unit.alone())
+                died = failed(unit, "the worker died, each time that it ran")
+                done = [(unit, packed(died))]
         except FutureCancelledError:
             raise InputError("the connection to the Dask scheduler is lost") from None
         except ImportError as error:
-            raise InputError(f"a worker cannot run {unit}: {error}") from None
-        hand_out()
-        if done is not None:
-            yield unit, done
+            raise InputError(f"a worker cannot run {some[0]}: {error}") from None
+        hand_out(share)
+        yield from done
+
+
+def _taken(waiting: deque[Unit], count: int) -> list[Unit]:
+    """The next units, at least one."""
+    return [waiting.popleft() for _ in range(max(1, count))]
