@@ -218,7 +218,7 @@ def association() -> list[list[Any]]:
             engine.recognise(sightings, first, last, log)
             middle = time.perf_counter()
             slam, register = engine.slam.arrays, engine.register
-            update(slam, register, *look[1:], engine.settings, log)
+            update(slam, register, *look[1:], engine.settings, log, engine.other)
             end = time.perf_counter()
             extend(slam, register, *look[1:], engine.settings, log)
             deciding.append(middle - begin)

@@ -15,7 +15,7 @@ from ekfslam.compiled import compiled, inlined, now
 from ekfslam.estimates import Decision
 from ekfslam.filters.initiation import extend
 from ekfslam.filters.kernels import downdate, move, project, solve, times_transposed
-from ekfslam.filters.measure import BANKED, POINT, POSE, moved, placed, rows_of
+from ekfslam.filters.measure import BANKED, POINT, POSE, foresee, moved, placed, rows_of
 from ekfslam.filters.options import KNOWN
 from ekfslam.filters.recognition import by_identity
 from ekfslam.filters.variants import (
@@ -35,19 +35,20 @@ DONE, GROW, INDEFINITE, LOOK = range(4)
 
 
 @compiled
-def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, log):  # type: ignore[no-untyped-def]
+def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, log, other):  # type: ignore[no-untyped-def]
     """Steps from `start` to before `stop`; returns the step at which it stopped, and why.
 
     Why is `DONE`; `GROW` for a map that must grow first; `INDEFINITE` for an innovation covariance
     that is not positive definite; or `LOOK` for observations that need more than this loop offers,
-    after the motion.
+    after the motion. `other` is None for the plain filter, so that nothing of its family is
+    compiled with it.
     """
     for k in range(start, stop):
         begin = now()
         first, last = offsets[k], offsets[k + 1]
         if not has_room(slam, register, last - first, settings):
             return k, GROW
-        if settings.variant in AT_ESTIMATES:
+        if other is None or settings.variant in AT_ESTIMATES:
             predict(slam, deltas[:, k], Qs[:, k])
         else:
             moves = deltas[:, k], Qs[:, k]
@@ -58,7 +59,7 @@ def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, l
         while first < last:  # for each robot, for each sensor (Solà, 2.4): a look
             until = end_of_look(sightings, first, last) if settings.scan else first + 1
             by_identity(register, sightings, first, until, settings, log)
-            nis, dof = update(slam, register, sightings, first, until, settings, log)
+            nis, dof = update(slam, register, sightings, first, until, settings, log, other)
             if np.isnan(nis):  # what failed leaves nothing behind
                 log.decision[first:until], log.landmark[first:until] = REJECTED, -1
                 return k, INDEFINITE
@@ -67,7 +68,7 @@ def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, l
             extend(slam, register, sightings, first, until, settings, log)
             first = until
         write_step(slam, k, settings, log)
-        if settings.variant in OF_THEIR_OWN:
+        if other is not None and settings.variant in OF_THEIR_OWN:
             settle_pose(settings.variant, slam, log.poses[0, k], log.covariances[0, k])
         log.seconds[k] = now() - begin
     return stop, DONE
@@ -135,7 +136,7 @@ def end_of_look(sightings, first, last):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def update(slam, register, sightings, first, last, settings, log):  # type: ignore[no-untyped-def]
+def update(slam, register, sightings, first, last, settings, log, other):  # type: ignore[no-untyped-def]
     """Correct with what is seen again, jointly or one after another (Solà, 2.3.3).
 
     Not with observations of a bank of hypotheses, which weighs for itself. Returns the squared
@@ -157,7 +158,19 @@ def update(slam, register, sightings, first, last, settings, log):  # type: igno
         for iteration in range(settings.iterations):
             again = iteration > 0
             m = stack(
-                slam, register, sightings, start, stop, together, again, rows, S, z, settings, log
+                slam,
+                register,
+                sightings,
+                start,
+                stop,
+                together,
+                again,
+                rows,
+                S,
+                z,
+                settings,
+                log,
+                other,
             )
             if m == 0:
                 break
@@ -167,9 +180,9 @@ def update(slam, register, sightings, first, last, settings, log):  # type: igno
             if not again:
                 total += nis
                 dof += m
-            if settings.iterations > 1 and (
-                iterate(slam.mean, slam.points.at, step, n, again) < settings.tolerance
-            ):
+            if other is None or settings.iterations == 1:
+                break
+            if iterate(slam.mean, slam.points.at, step, n, again) < settings.tolerance:
                 break
         if np.isnan(nis):
             total = np.nan
@@ -178,13 +191,15 @@ def update(slam, register, sightings, first, last, settings, log):  # type: igno
             retract(variant, slam.mean, step, n, settings.poses)
             downdate(slam.covariance, rows, m, n)
         start = stop
-    if variant == ROBOCENTRIC:
+    if other is not None and variant == ROBOCENTRIC:
         compose(slam.mean, slam.covariance, n)
     return total, dof
 
 
 @inlined
-def stack(slam, register, sightings, first, last, together, again, rows, S, z, settings, log):  # type: ignore[no-untyped-def]
+def stack(  # type: ignore[no-untyped-def]
+    slam, register, sightings, first, last, together, again, rows, S, z, settings, log, other
+):
     """``H P``, ``S = H P H' + R`` (its lower triangle) and innovations of accepted observations.
 
     Parameters
@@ -193,6 +208,8 @@ def stack(slam, register, sightings, first, last, together, again, rows, S, z, s
         Rows of a look.
     together : int
         How many of them are accepted at most.
+    other : None or bool
+        None for the plain filter, see `run`.
     again : bool
         Whether this is not the first iteration of an iterated correction.
 
@@ -202,7 +219,7 @@ def stack(slam, register, sightings, first, last, together, again, rows, S, z, s
         How many numbers were observed.
     """
     # Taken from their tuples once: in the loop every access would count references.
-    mean, P, n, points = slam.mean, slam.covariance, slam.size[0], slam.points.at
+    mean, P, n = slam.mean, slam.covariance, slam.size[0]
     offsets, own_sizes = register.offsets, register.sizes
     used, rejections = register.sightings, register.rejections
     values, R, target = sightings.values, sightings.covariance, sightings.target
@@ -210,7 +227,6 @@ def stack(slam, register, sightings, first, last, together, again, rows, S, z, s
     kind, mount, pose = sightings.kind[first], sightings.mount[first], POSE * sightings.robot[first]
     d, variant = rows_of(kind), settings.variant
     sensor = placed(mount, mean[pose : pose + POSE])
-    elsewhere = placed(mount, points[pose : pose + POSE])
     H, point, nu = np.empty((together, 2, 7)), np.empty(4), np.empty(2)
     places, sizes = np.empty(together, np.int64), np.empty(together, np.int64)
     m = 0
@@ -225,11 +241,19 @@ def stack(slam, register, sightings, first, last, together, again, rows, S, z, s
         if size == BANKED:
             continue
         h = H[m]
-        if again:
-            foresee_again(kind, size, elsewhere, mean, points, pose, at, values[i], h, nu)
-        elif not foresee_at(
-            variant, mean, points, sensor, elsewhere, at, size, kind, values[i], point, h, nu
-        ):
+        value, seen = values[i], True
+        if other is None:
+            seen = foresee(kind, size, sensor, mean[at : at + size], value, point, h, nu)
+        else:
+            points = slam.points.at
+            elsewhere = placed(mount, points[pose : pose + POSE])
+            if again:
+                foresee_again(kind, size, elsewhere, mean, points, pose, at, value, h, nu)
+            else:
+                seen = foresee_at(
+                    variant, mean, points, sensor, elsewhere, at, size, kind, value, point, h, nu
+                )
+        if not seen:
             decision[i] = REJECTED  # an inverse depth that has no distance to compare with
             continue
         if size > POINT and not again:
@@ -239,11 +263,11 @@ def stack(slam, register, sightings, first, last, together, again, rows, S, z, s
         project(P, n, pose, at, size, h, d, rows[d * m : d * m + d])
         places[m], sizes[m] = at, size
         for j in range(m + 1):
-            other, place, width = H[j], places[j], sizes[j]
+            before, place, width = H[j], places[j], sizes[j]
             for a in range(d):
                 row = rows[d * m + a]
                 for b in range(d):
-                    entry = times_transposed(row, pose, place, width, other, b)
+                    entry = times_transposed(row, pose, place, width, before, b)
                     S[d * m + a, d * j + b] = entry
         for a in range(d):
             z[d * m + a] = nu[a]

@@ -101,6 +101,8 @@ class Engine:
         settings = options.settings(association, kinds, landmarks, len(priors))
         settings = settings._replace(plain=settings.plain and not noted)
         self.settings, self.association = settings, association
+        # None is a type of its own: what is compiled for it knows nothing of the family.
+        self.other = None if settings.variant == EKF else True
         room = landmarks or LANDMARKS
         self.slam = GaussianMap(
             starting(settings.variant, priors), room * settings.largest // POINT
@@ -173,7 +175,7 @@ class Engine:
         """Compile all that a run may need, so that no clock counts it."""
         state, settings = self.state, self.settings
         slam, register = self.slam.arrays, self.register
-        prepare(run, 0, 0, *moves, offsets, sightings, slam, register, settings, log)
+        prepare(run, 0, 0, *moves, offsets, sightings, slam, register, settings, log, self.other)
         if settings.plain:
             return
         look, scan = (state, sightings, 0, 0), (sightings, 0, 0)
@@ -188,7 +190,7 @@ class Engine:
         else:
             prepare(recognise, *look, settings, log)
         prepare(end_of_look, *scan)
-        prepare(update, slam, register, *scan, settings, log)
+        prepare(update, slam, register, *scan, settings, log, self.other)
         prepare(extend, slam, register, *scan, settings, log)
         prepare(write_step, slam, 0, settings, log)
         if settings.variant in OF_THEIR_OWN:
@@ -222,7 +224,7 @@ class Engine:
         while start < stop:
             slam, register = self.slam.arrays, self.register
             arguments = sightings, slam, register, self.settings, log
-            start, why = run(start, stop, deltas, Qs, offsets, *arguments)
+            start, why = run(start, stop, deltas, Qs, offsets, *arguments, self.other)
             if why == GROW:
                 self.make_room(int(offsets[start + 1] - offsets[start]))
             elif why == LOOK:
@@ -292,7 +294,7 @@ class Engine:
         for i, j in [(i, i + 1) for i in range(first, last)] if alone else [(first, last)]:
             if noting:
                 note_corrections(self.state, sightings, i, j, log, journal)
-            nis, dof = update(slam, register, sightings, i, j, settings, log)
+            nis, dof = update(slam, register, sightings, i, j, settings, log, self.other)
             if np.isnan(nis):
                 return False
             log.nis[k] += nis
