@@ -37,6 +37,9 @@ SETTINGS = {
     "distributed.scheduler.allowed-failures": LIVES - 1,
     "distributed.scheduler.worker-saturation": 1.0,  # a worker has one task, and loses no other
     "distributed.worker.multiprocessing-method": "spawn",
+    # What nobody looks at here takes time from the work: a profile of it, and of the machine.
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.system-monitor.interval": "10s",
     # A worker that dies is started again. This is for machines that vanish: a worker that is not
     # back after it, since it has died once more, would be given up for good.
     "distributed.deploy.lost-worker-timeout": "10000h",
