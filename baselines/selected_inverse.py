@@ -275,20 +275,46 @@ def factorise(shape: Shape, values: Array) -> int:
         L = np.dot(block[f:], W.T)
         block[f:] = np.dot(L, W)
         outer = np.dot(L, L.T)
-        rows = shape.rows[shape.start[s] + f : shape.start[s + 1]]
-        begin = 0
-        while begin < m - f:
-            t = shape.owner[rows[begin]]
-            width = locate(shape, t, at)
-            end = begin
-            while end < m - f and rows[end] < shape.first[t + 1]:
-                end += 1
-            for a in range(begin, m - f):
-                origin = shape.begin[t] + at[rows[a]] * width - shape.first[t]
-                for b in range(begin, min(a + 1, end)):
-                    values[origin + rows[b]] -= outer[a, b]
-            begin = end
+        meet_later(shape, values, s, at, outer, False)
     return -1
+
+
+@compiled
+def meet_later(
+    shape: Shape, values: Array, s: int, at: np.ndarray, below: Array, read: bool
+) -> None:
+    """Read what later supernodes hold of the rows below one, with each other, or subtract it there.
+
+    Parameters
+    ----------
+    shape : Shape
+    values : ndarray
+        Entries of all supernodes.
+    s : int
+        The supernode.
+    at : (n,) ndarray of int
+        Written: scratch for `locate`.
+    below : (r, r) ndarray
+        Symmetric, of the r rows below it: written, or subtracted from the entries.
+    read : bool
+    """
+    f = shape.first[s + 1] - shape.first[s]
+    rows = shape.rows[shape.start[s] + f : shape.start[s + 1]]
+    begin = 0
+    while begin < len(rows):
+        t = shape.owner[rows[begin]]
+        width = locate(shape, t, at)
+        end = begin
+        while end < len(rows) and rows[end] < shape.first[t + 1]:
+            end += 1
+        for a in range(begin, len(rows)):
+            origin = shape.begin[t] + at[rows[a]] * width - shape.first[t]
+            for b in range(begin, min(a + 1, end)):
+                if read:
+                    below[a, b] = below[b, a] = values[origin + rows[b]]
+                else:
+                    values[origin + rows[b]] -= below[a, b]
+        begin = end
 
 
 @compiled
@@ -302,21 +328,8 @@ def invert(shape: Shape, values: Array) -> None:
         if m == f:
             block[:] = np.dot(W.T, W)
             continue
-        rows = shape.rows[shape.start[s] + f : shape.start[s + 1]]
         known = np.empty((m - f, m - f))  # of the inverse: all rows below, with each other
-        begin = 0
-        while begin < m - f:
-            t = shape.owner[rows[begin]]
-            width = locate(shape, t, at)
-            end = begin
-            while end < m - f and rows[end] < shape.first[t + 1]:
-                end += 1
-            for a in range(begin, m - f):
-                origin = shape.begin[t] + at[rows[a]] * width - shape.first[t]
-                for b in range(begin, min(a + 1, end)):
-                    known[a, b] = values[origin + rows[b]]
-                    known[b, a] = known[a, b]
-            begin = end
+        meet_later(shape, values, s, at, known, True)
         Y = block[f:].copy()
         cross = -np.dot(known, Y)
         block[:f] = np.dot(W.T, W) - np.dot(Y.T, cross)
