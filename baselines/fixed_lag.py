@@ -14,7 +14,7 @@ from baselines import entry, keys
 from baselines.batch import in_words
 from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
-from baselines.stepwise import Arrivals, checked_count, fed, opened
+from baselines.stepwise import Arrivals, checked_count, fed, opened, parameters_of
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates
@@ -117,9 +117,7 @@ class GtsamFixedLag:
         started: float,
         progress: Progress | None,
     ) -> Estimate:
-        parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(self.relinearize_threshold)
-        parameters.relinearizeSkip = self.relinearize_skip
+        parameters = parameters_of(self, problem)
         parameters.findUnusedFactorSlots = True
         smoother = gtsam.IncrementalFixedLagSmoother(float(self.lag), parameters)
         window = _Window(problem)

@@ -12,7 +12,7 @@ from baselines import covariances, entry
 from baselines.batch import in_words
 from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
-from baselines.stepwise import Arrivals, checked_count, fed, opened
+from baselines.stepwise import Arrivals, checked_count, fed, opened, parameters_of
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
 from ekfslam.geometry import Array
@@ -103,9 +103,7 @@ class GtsamIsam2:
         started: float,
         progress: Progress | None,
     ) -> Estimate:
-        parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(self.relinearize_threshold)
-        parameters.relinearizeSkip = self.relinearize_skip
+        parameters = parameters_of(self, problem)
         isam = gtsam.ISAM2(parameters)
 
         def update(new: Arrivals) -> None:

@@ -102,6 +102,7 @@ class LandmarkGraph:
         self.dataset, self.association = dataset, association
         self.rows = association.rows
         self.notes = list(association.notes)
+        self.floored = False  # whether some noise had to be raised
         kinds = np.unique(dataset.sightings.kind[association.landmark >= 0])
         self.points_3d = XY in kinds
         if self.points_3d and len(kinds) > 1:
@@ -200,6 +201,7 @@ class LandmarkGraph:
             regular, raised = floored(covariance[None], PRIOR_FLOOR)
             noise = noiseModel.Gaussian.Covariance(regular[0])
             if raised:
+                self.floored = True
                 self.notes.append(f"prior noise floored at {PRIOR_FLOOR:g}")
         return gtsam.PriorFactorPose2(keys.pose_key(0, robot), gtsam.Pose2(*prior.mean), noise)
 
@@ -220,6 +222,7 @@ class LandmarkGraph:
                 ]
             )
         if low:
+            self.floored = True
             self.notes.append(
                 f"odometry noise floored at {floor:g} (m, rad) in {low} of {count} steps"
             )

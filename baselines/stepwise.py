@@ -179,6 +179,30 @@ def opened(smoother: Any, dataset: Dataset) -> tuple[LandmarkGraph, Estimate, fl
     return problem, estimate, started
 
 
+def parameters_of(smoother: Any, problem: LandmarkGraph) -> gtsam.ISAM2Params:
+    """How iSAM2 is to work, by the options of a smoother.
+
+    Where noise had to be floored, its floor stands beside noise that is orders of magnitude larger.
+    Cholesky factors, which square that, then come out indeterminate; QR, which takes up to twice as
+    long, does not.
+
+    Parameters
+    ----------
+    smoother : GtsamIsam2 or GtsamFixedLag
+    problem : LandmarkGraph
+
+    Returns
+    -------
+    gtsam.ISAM2Params
+    """
+    parameters = gtsam.ISAM2Params()
+    parameters.setRelinearizeThreshold(smoother.relinearize_threshold)
+    parameters.relinearizeSkip = smoother.relinearize_skip
+    if problem.floored:
+        parameters.setFactorization("QR")
+    return parameters
+
+
 def checked_count(value: int, name: str) -> None:
     """Refuse what is not a positive whole number.
 
