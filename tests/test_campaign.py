@@ -253,6 +253,19 @@ def test_added_seeds_estimators_and_scenarios_run_alone(tmp_path):
     assert tables(tmp_path / "grown") == tables(tmp_path / "at once")
 
 
+def test_fewer_seeds_of_one_are_all_it_runs_and_shows(tmp_path):
+    few = SMALL | {"estimators": ["ekf", {"name": "dead-reckoning", "seeds": 2}]}
+    results = run_campaign(few, tmp_path)
+    assert results.cells == (10, 10)
+    assert results.runs.groupby("estimator")["seed"].nunique().to_dict() == {
+        "dead-reckoning": 2,
+        "ekf": 3,
+    }
+    assert (results.pairs["seeds"] == 2).all()
+    assert run_campaign(SMALL, tmp_path).cells == (12, 12)  # the missing ones are run
+    assert run_campaign(few, tmp_path).cells == (10, 10)  # and are not shown where not wanted
+
+
 def test_what_a_campaign_no_longer_wants_is_kept_and_not_shown(tmp_path):
     run(SMALL, tmp_path / "large")
     smaller = SMALL | {"estimators": ["dead-reckoning"], "compare": {}}

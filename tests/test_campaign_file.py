@@ -86,6 +86,17 @@ def test_a_file_is_read_to_the_last_key(path):
     assert campaign.pairing.metrics == ("ate_position_rmse_m",)
 
 
+def test_an_estimator_may_do_with_fewer_seeds():
+    listed = ["ekf", {"name": "dead-reckoning", "seeds": 1}]
+    campaign = load_campaign(changed(seeds=[7, 3], estimators=listed))
+    assert campaign.seeds_of("ekf") == (7, 3)
+    assert campaign.seeds_of("dead-reckoning") == (7,)
+    assert campaign.cells == 3 * len(campaign.variants)
+    assert [len(unit.estimators) for unit in campaign.units({}) if unit.seed == 3] == [1] * len(
+        campaign.variants
+    )
+
+
 def test_values_are_set_and_swept_in_the_scenario(path):
     variant = load_campaign(path).variants[3]
     by_hand = load_scenario(
@@ -222,6 +233,12 @@ MISTAKES = [
     (changed(metrics={"reference": "gtsam"}), "reference: unknown estimator 'gtsam'; did you"),
     (changed(metrics={"diverged_above": 0}), "diverged_above must be a positive number"),
     (changed(metrics={"diverged_above": "x"}), "diverged_above must be a positive number"),
+    (changed(estimators=[{"seeds": 2}]), "estimators: name must be text, got None"),
+    (changed(estimators=[{"name": "ekf", "seed": 2}]), "unknown key 'seed'; did you mean seeds"),
+    (
+        changed(estimators=[{"name": "ekf", "seeds": 0}]),
+        "estimators: seeds of 'ekf' must be a whole number from 1 on",
+    ),
     (changed(compare={"base": "ekf"}), r"\[compare\]: unknown key 'base'; did you mean baseline"),
     (
         changed(compare={"baseline": "ekf-ri"}),

@@ -5,7 +5,10 @@
     name = "heading"                  # optional: the file's name by default
     description = "What an uncertain heading does to the filters."
     seeds = 100                       # 0 to 99; or { first = 1000, count = 100 }, or a list
-    estimators = ["ekf", "ekf-ri", "gtsam-batch", "ekf(association=joint)"]
+    estimators = [
+      "ekf", "ekf-ri", "gtsam-batch", "ekf(association=joint)",
+      { name = "gtsam-isam2", seeds = 20 },   # a slow one: on the first 20 seeds alone
+    ]
 
     [[scenarios]]                     # at least one
     name = "loop-15"                  # of a scenario, or a .toml file, relative to this one
@@ -91,6 +94,9 @@ class Campaign:
         What they are called in tables, and the text that they are made from.
     metrics : Metrics
     pairing : Pairing
+    few_seeds : dict
+        How many of the seeds an estimator runs on, from the first on; those that run on all are
+        not in it.
     text : str
         The file, empty if there is none.
     """
@@ -101,13 +107,18 @@ class Campaign:
     estimators: Mapping[str, str]
     metrics: Metrics = field(default_factory=Metrics)
     pairing: Pairing = field(default_factory=Pairing)
+    few_seeds: Mapping[str, int] = field(default_factory=dict)
     description: str = ""
     text: str = ""
 
     @property
     def cells(self) -> int:
-        """How many there are: variants × seeds × estimators."""
-        return len(self.variants) * len(self.seeds) * len(self.estimators)
+        """How many there are: variants × seeds of each estimator."""
+        return len(self.variants) * sum(len(self.seeds_of(name)) for name in self.estimators)
+
+    def seeds_of(self, estimator: str) -> tuple[int, ...]:
+        """Seeds that an estimator runs on."""
+        return self.seeds[: self.few_seeds.get(estimator)]
 
     def units(self, done: Mapping[tuple[str, int], Collection[str]]) -> list[Unit]:
         """The work that is left, seed by seed, so that what is there first says most.
@@ -118,10 +129,12 @@ class Campaign:
             Names of the estimators that are done, by digest of the scenario and seed.
         """
         units = []
+        seeds_of = {name: set(self.seeds_of(name)) for name in self.estimators}
         for seed in self.seeds:
+            on_it = {k: text for k, text in self.estimators.items() if seed in seeds_of[k]}
             for variant in self.variants:
                 there = done.get((variant.digest, seed), ())
-                left = {k: text for k, text in self.estimators.items() if k not in there}
+                left = {k: text for k, text in on_it.items() if k not in there}
                 if left:
                     about = (variant.label, variant.digest, variant.scenario)
                     units.append(Unit(self.name, *about, seed, left, self.metrics))
@@ -138,6 +151,7 @@ class Campaign:
             ],
             "seeds": list(self.seeds),
             "estimators": dict(self.estimators),
+            "few_seeds": dict(self.few_seeds),
             "metrics": asdict(self.metrics) | {"digest": self.metrics.digest},
             "compare": asdict(self.pairing),
         }

@@ -77,6 +77,7 @@ def _so_many(seeds: tuple[int, ...], count: int) -> tuple[int, ...]:
 # From a document to a campaign -------------------------------------------------------------------
 
 _KEYS = ("name", "description", "seeds", "estimators", "scenarios", "metrics", "compare")
+_OF_ESTIMATOR = ("name", "seeds")
 _OF_SCENARIO = ("name", "label", "set", "sweep")
 _OF_METRICS = ("skip", "steps", "reference", "diverged_above")
 _OF_COMPARE = ("baseline", "pairs", "metrics")
@@ -87,7 +88,7 @@ def _build(document: dict[str, Any], name: str, where: str, folder: Path) -> Cam
     for key in ("seeds", "estimators", "scenarios"):
         if key not in document:
             raise InputError(f"{where}: missing key {key!r}")
-    estimators = _estimators(document["estimators"], f"{where}: estimators")
+    estimators, few = _estimators(document["estimators"], f"{where}: estimators")
     variants = _variants(document["scenarios"], where, folder)
     shortest = min(len(variant.scenario.times) for variant in variants)
     return Campaign(
@@ -96,6 +97,7 @@ def _build(document: dict[str, Any], name: str, where: str, folder: Path) -> Cam
         variants=variants,
         seeds=_seeds(document["seeds"], f"{where}: seeds"),
         estimators=estimators,
+        few_seeds=few,
         metrics=_metrics(_table(document, "metrics", where), f"{where}: [metrics]", shortest),
         pairing=_pairing(_table(document, "compare", where), f"{where}: [compare]", estimators),
     )
@@ -170,11 +172,18 @@ def _in_a_row(first: int, count: int, where: str) -> tuple[int, ...]:
     return tuple(range(first, first + count))
 
 
-def _estimators(value: Any, where: str) -> dict[str, str]:
-    texts = [_text(each, where) for each in _list(value, where, "names")]
-    names = [_estimator(text, where) for text in texts]
+def _estimators(value: Any, where: str) -> tuple[dict[str, str], dict[str, int]]:
+    """Texts of the estimators by name, and how many seeds those have that do not run on all."""
+    texts, names, few = [], [], {}
+    for each in _list(value, where, "names"):
+        entry = each if isinstance(each, Mapping) else {"name": each}
+        _check_keys(entry, _OF_ESTIMATOR, where)
+        texts.append(_text(entry.get("name"), f"{where}: name" if entry is each else where))
+        names.append(_estimator(texts[-1], where))
+        if "seeds" in entry:
+            few[names[-1]] = _whole(entry["seeds"], f"{where}: seeds of {texts[-1]!r}", least=1)
     _different(names, where)
-    return dict(zip(names, texts, strict=True))
+    return dict(zip(names, texts, strict=True)), few
 
 
 def _estimator(text: str, where: str) -> str:

@@ -91,9 +91,9 @@ class CampaignResults:
     @property
     def cells(self) -> tuple[int, int]:
         """How many cells are done, and how many there are in all."""
-        parts = (self.config[name] for name in ("scenarios", "seeds", "estimators"))
         done = self.runs.drop_duplicates(["scenario", "seed", "estimator"])
-        return len(done), int(np.prod([len(part) for part in parts]))
+        of_each = sum(len(self._seeds_of(name)) for name in self.config["estimators"])
+        return len(done), len(self.config["scenarios"]) * of_each
 
     def figures(self) -> dict[str, Figure]:
         """Figures by the stem of their files."""
@@ -161,8 +161,20 @@ class CampaignResults:
             _places(rows["scenario_hash"], label_of),
         ]
         wanted = np.lexsort(order)
-        wanted = wanted[order[0][wanted] >= 0]
+        wanted = wanted[(self._stated(rows) & (order[0] >= 0))[wanted]]
         return rows.iloc[wanted].reset_index(drop=True)
+
+    def _seeds_of(self, estimator: str) -> list[int]:
+        """Seeds that the campaign wants of an estimator."""
+        return self.config["seeds"][: self.config.get("few_seeds", {}).get(estimator)]
+
+    def _stated(self, rows: pd.DataFrame) -> np.ndarray:
+        """Whether each row is of a seed that the campaign wants of its estimator."""
+        stated = np.ones(len(rows), dtype=bool)
+        for name in self.config.get("few_seeds", {}):
+            of_it = (rows["estimator"] == name).to_numpy(dtype=bool)
+            stated &= ~of_it | rows["seed"].isin(self._seeds_of(name)).to_numpy(dtype=bool)
+        return stated
 
     def _repr_html_(self) -> str:
         return self.summary.to_html(index=False, na_rep="")

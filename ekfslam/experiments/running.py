@@ -115,7 +115,12 @@ def _settled(
     said = [identity(name) for name in cells[FILE]]
     cells = cells.join(pd.DataFrame(said, index=cells.index, columns=list(Identity._fields)))
     cells = _current(campaign, cells, store, tell)
-    wanted = cells["estimator"].isin(campaign.estimators) & cells["seed"].isin(campaign.seeds)
+    runs = {(name, seed) for name in campaign.estimators for seed in campaign.seeds_of(name)}
+    wanted = pd.Series(
+        [cell in runs for cell in zip(cells["estimator"], cells["seed"], strict=True)],
+        index=cells.index,
+        dtype=bool,
+    )
     wanted &= cells["digest"].isin([variant.digest for variant in campaign.variants])
     broken = wanted & (cells["status"] == FAILED)
     if retry_failed and broken.any():
