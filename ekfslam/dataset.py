@@ -20,7 +20,7 @@ from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import Increments, MotionModel
 from ekfslam.models.sensors import Sensor
-from ekfslam.observations import NO_LANDMARK, WIDTH, Observations, Sightings, padded
+from ekfslam.observations import FARTHEST, NO_LANDMARK, WIDTH, Observations, Sightings, padded
 from ekfslam.robots import LandmarkMap, Prior, Robot
 from ekfslam.storage import Reader, Writer
 
@@ -158,7 +158,7 @@ class Dataset:
                     "observations.values must be 0 in its rows"
                 )
             if sensor.view.names[0] == "range":
-                negative = np.flatnonzero((o.sensor == index) & (o.values[:, 0] < 0))
+                negative = np.flatnonzero(mine & (o.values[:, 0] < self._least_range(sensor)))
                 if len(negative):
                     raise InputError(
                         f"negative range {o.values[negative[0], 0]} in row {negative[0]} "
@@ -171,6 +171,15 @@ class Dataset:
                     f"observations.covariance of row {bad[0]} is not positive semi-definite"
                 )
         self._check_twice()
+
+    def _least_range(self, sensor: Sensor) -> float:
+        """What noise can make of a short range; a range alone has no direction to be behind."""
+        if sensor.view.size == 1:
+            return 0.0
+        variance = sensor.covariances(np.zeros((1, 2)))[0, 0, 0]
+        if self.observations.covariance is not None:
+            variance = self.observations.covariance[:, 0, 0].max(initial=variance)
+        return -FARTHEST * float(np.sqrt(variance))
 
     @staticmethod
     def _check_range(column: np.ndarray, count: int, name: str, what: str, least: int = 0) -> None:
@@ -374,6 +383,7 @@ class Dataset:
             writer.put(f"robot{index}.prior_mean", robot.prior.mean)
             writer.put(f"robot{index}.prior_covariance", robot.prior.covariance)
             writer.put(f"robot{index}.truth", robot.truth)
+            writer.put(f"robot{index}.covariance", robot.covariance)
         for column in fields(Observations):
             writer.put(f"observations.{column.name}", getattr(self.observations, column.name))
         for name in ("known_map", "true_map"):
@@ -404,6 +414,7 @@ class Dataset:
                     ),
                     reader.get(f"robot{index}.truth"),
                     entry["name"],
+                    reader.get(f"robot{index}.covariance"),
                 )
                 for index, entry in enumerate(header["robots"])
             )

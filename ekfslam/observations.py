@@ -13,6 +13,7 @@ from ekfslam.geometry import Array
 from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING, VIEWS, Sensor
 
 NO_LANDMARK = -1
+FARTHEST = 6.0  # sigmas that noise may take a short range below zero
 WIDTH = 2  # columns of values: the most that a sensor reports
 
 
@@ -202,7 +203,8 @@ class Sightings(NamedTuple):
             check_finite(column, name)
         if not np.isin(kind, [view.code for view in VIEWS.values()]).all():
             raise InputError("kind holds a code of no view")
-        if (np.isin(kind, [RANGE_BEARING, RANGE]) & (values[:, 0] < 0)).any():
+        least = np.where(kind == RANGE, 0.0, -FARTHEST * np.sqrt(np.abs(covariance[:, 0, 0])))
+        if (np.isin(kind, [RANGE_BEARING, RANGE]) & (values[:, 0] < least)).any():
             raise InputError("values hold a negative range")
         if (np.isin(kind, [BEARING, RANGE]) & (values[:, 1] != 0)).any():
             raise InputError("values of a sensor that reports one number hold 0 in the second")

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ekfslam.checks import check_finite, checked_array, checked_covariance, frozen
+from ekfslam.checks import check_finite, checked_array, checked_covariance, frozen, is_covariance
 from ekfslam.errors import InputError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import Increments, MotionModel
@@ -76,8 +76,10 @@ class Robot:
         Columns as `MotionModel.control_names`.
     prior : Prior
     truth : (K + 1, 3) array_like, optional
-        True poses [m, m, rad], where known.
+        True poses [m, m, rad]. NaN where it is not known: of a whole pose, or of its heading alone.
     name : str
+    covariance : (K, n, n) array_like, optional
+        Noise of each control, where the set gives it; the motion model's by default.
     """
 
     motion: MotionModel
@@ -85,6 +87,7 @@ class Robot:
     prior: Prior = field(default_factory=Prior)
     truth: Array | None = None
     name: str = "robot"
+    covariance: Array | None = None
 
     def __post_init__(self) -> None:
         width = len(self.motion.control_names)
@@ -95,10 +98,37 @@ class Robot:
             truth = checked_array(
                 self.truth, float, (len(controls) + 1, 3), f"truth of {self.name}"
             )
-            check_finite(truth, f"truth of {self.name}")
+            _check_truth(truth, f"truth of {self.name}")
             object.__setattr__(self, "truth", truth)
+
+        if self.covariance is not None:
+            noisy = self.motion.noises
+            shape, name = (len(controls), noisy, noisy), f"covariance of {self.name}"
+            given = checked_array(self.covariance, float, shape, name)
+            check_finite(given, name)
+            bad = np.flatnonzero(~is_covariance(given))
+            if len(bad):
+                raise InputError(f"{name} is not positive semi-definite in row {bad[0]}")
+            object.__setattr__(self, "covariance", given)
+
+    @property
+    def truth_known(self) -> bool:
+        """Whether the truth of every pose is known."""
+        return self.truth is not None and bool(np.isfinite(self.truth).all())
 
     @cached_property
     def increments(self) -> Increments:
         """Body increments of the whole run with their covariances, computed once."""
-        return Increments(*map(frozen, self.motion.increments(self.controls)))
+        return Increments(*map(frozen, self.motion.increments(self.controls, self.covariance)))
+
+
+def _check_truth(truth: Array, name: str) -> None:
+    """Refuse what is neither a pose, nor a position, nor unknown."""
+    known = np.isfinite(truth)
+    half = known[:, 0] != known[:, 1]
+    bad = np.isinf(truth).any(axis=1) | half | (known[:, 2] & ~known[:, 0])
+    if bad.any():
+        raise InputError(
+            f"{name} holds no pose in row {np.flatnonzero(bad)[0]}: what is not known is NaN, of the "
+            "whole pose or of its heading alone"
+        )

@@ -9,7 +9,8 @@ import pytest
 from made import MOTION, NOISE, assert_refused, make, pair, twice
 from numpy.testing import assert_allclose, assert_array_equal
 
-from ekfslam.dataset import LandmarkMap, Prior, Robot
+from ekfslam.dataset import Dataset, LandmarkMap, Prior, Robot
+from ekfslam.errors import InputError
 from ekfslam.models.sensors import Sensor
 from ekfslam.observations import Sightings
 
@@ -91,12 +92,44 @@ def test_observations_out_of_order():
     assert_refused("goes back at row 1", make, step=[1, 0], values=[[1, 0], [1, 0]])
 
 
+def test_noise_may_take_a_short_range_below_zero():
+    sigma = np.sqrt(NOISE[0][0])
+    values = [[1.0, 0.0], [-5.9 * sigma, 0.0]]
+    assert_array_equal(make(step=[0, 1], values=values).observations.values, values)
+    values[1][0] = -6.1 * sigma
+    assert_refused("negative range", make, step=[0, 1], values=values)
+
+
+def test_truth_may_be_known_in_part():
+    nan = np.nan
+    truth = [[0.0, 0.0, 0.0], [1.0, 0.0, nan], [nan, nan, nan]]
+    robot = Robot(MOTION, np.zeros((2, 3)), truth=truth)
+    assert not robot.truth_known
+    assert Robot(MOTION, np.zeros((2, 3)), truth=np.zeros((3, 3))).truth_known
+    for bad in ([0.0, nan, 0.0], [nan, nan, 0.0], [np.inf, 0.0, 0.0]):
+        with pytest.raises(InputError, match="truth of robot holds no pose in row 1"):
+            Robot(MOTION, np.zeros((2, 3)), truth=[truth[0], bad, truth[2]])
+
+
+def test_each_control_may_have_its_own_noise(tmp_path):
+    noise = np.array([np.diag([1.0, 2.0, 3.0]), np.diag([4.0, 5.0, 6.0])])
+    robot = Robot(MOTION, np.zeros((2, 3)), covariance=noise)
+    assert_array_equal(robot.increments.covariances, noise)
+    dataset = make(robots=(robot,))
+    dataset.save(tmp_path / "own.npz")
+    assert_array_equal(Dataset.load(tmp_path / "own.npz").robot.covariance, noise)
+    with pytest.raises(
+        InputError, match="covariance of robot is not positive semi-definite in row"
+    ):
+        Robot(MOTION, np.zeros((2, 3)), covariance=noise * [[[1.0]], [[-1.0]]])
+
+
 def test_negative_range():
     assert_refused(
-        r"negative range -0.5 in row 1 of the observations of laser",
+        r"negative range -0.7 in row 1 of the observations of laser",
         make,
         step=[0, 1],
-        values=[[1.0, 0.0], [-0.5, 0.0]],
+        values=[[1.0, 0.0], [-0.7, 0.0]],
     )
 
 

@@ -56,7 +56,7 @@ class EkfIdeal(Ekf):
     def _truth(self, dataset: Dataset) -> tuple[Array, Array]:
         """True poses (R, K + 1, 3), and true place (M, 2) of what each observation shows."""
         truths = [robot.truth for robot in dataset.robots]
-        if dataset.true_map is None or any(truth is None for truth in truths):
+        if dataset.true_map is None or not all(r.truth_known for r in dataset.robots):
             raise UnsupportedError(f"{self.name} needs the truth of poses and landmarks")
         known = dataset.true_map
         shown = dataset.observations.landmark

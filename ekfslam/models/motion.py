@@ -223,6 +223,11 @@ class MotionModel:
         return KINDS[self.kind].controls
 
     @property
+    def noises(self) -> int:
+        """How many numbers carry noise: controls, or the whole increment if there are none."""
+        return KINDS[self.kind].noises
+
+    @property
     def noisy_controls(self) -> int:
         """How many of the first control columns carry noise."""
         return KINDS[self.kind].noisy
@@ -267,7 +272,7 @@ class MotionModel:
             [[(p1 * left) ** 2 + turn, zero], [zero, (p1 * right) ** 2 + turn]], len(left)
         )
 
-    def increments(self, controls: Any) -> Increments:
+    def increments(self, controls: Any, covariance: Array | None = None) -> Increments:
         """Increments of a run with their body covariances ``J Sigma_u J' + slip``.
 
         Without controls, the perturbation's covariance stands for ``J Sigma_u J'``.
@@ -275,6 +280,8 @@ class MotionModel:
         Parameters
         ----------
         controls : (K, m) array_like
+        covariance : (K, n, n) ndarray, optional
+            Noise of each control instead of the model's own.
 
         Returns
         -------
@@ -283,7 +290,7 @@ class MotionModel:
             `BetweenFactorPose2` wants it rotated into the frame of the second.
         """
         deltas, jacobians = self.increment(controls)
-        noise = self.control_covariances(controls)
+        noise = self.control_covariances(controls) if covariance is None else covariance
         if self.noisy_controls:
             covariances = congruence(jacobians[:, :, : self.noisy_controls], noise)
         else:
