@@ -129,6 +129,6 @@ def _check_truth(truth: Array, name: str) -> None:
     bad = np.isinf(truth).any(axis=1) | half | (known[:, 2] & ~known[:, 0])
     if bad.any():
         raise InputError(
-            f"{name} holds no pose in row {np.flatnonzero(bad)[0]}: what is not known is NaN, of the "
-            "whole pose or of its heading alone"
+            f"{name} holds no pose in row {np.flatnonzero(bad)[0]}: what is not known is NaN, "
+            "of the whole pose or of its heading alone"
         )
