@@ -10,6 +10,7 @@ import numpy as np
 from ekfslam.checks import check_finite, checked_array, checked_covariance, frozen, is_covariance
 from ekfslam.errors import InputError
 from ekfslam.geometry import Array
+from ekfslam.models.mixture import Components
 from ekfslam.models.motion import Increments, MotionModel
 
 
@@ -120,6 +121,11 @@ class Robot:
     def increments(self) -> Increments:
         """Body increments of the whole run with their covariances, computed once."""
         return Increments(*map(frozen, self.motion.increments(self.controls, self.covariance)))
+
+    @cached_property
+    def components(self) -> Components:
+        """Body increments of the whole run as the mixture that their noise is, computed once."""
+        return Components(*map(frozen, self.motion.components(self.controls, self.covariance)))
 
 
 def _check_truth(truth: Array, name: str) -> None:

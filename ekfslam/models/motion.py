@@ -25,7 +25,7 @@ wheels: 2L of Ciatto, W of the notes on Brenner's lectures. A ``dt`` is exact; t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,6 +33,7 @@ import numpy as np
 from ekfslam.checks import checked_array, checked_covariance, checked_number
 from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.geometry import Array, arc_coefficient_derivatives, arc_coefficients, congruence
+from ekfslam.models.mixture import Components, Mixture, checked_mixture, mixture_of
 
 
 class Increments(NamedTuple):
@@ -171,12 +172,16 @@ class MotionModel:
         first pose. It makes the covariance of a model with two noisy controls regular.
     width, wheelbase : float, optional
         Distance between the wheels, or between the axles [m]; required by the kinds that use it.
+    mixture : (C, 2) or (C, 2 + n) array_like, optional
+        Components (weight, scale, offset of each noisy control) of a noise that is no Gaussian:
+        with probability `weight` it is ``offset + scale * N(0, Sigma_u)``; see
+        `ekfslam.models.mixture`. One component of scale 1 without offset by default.
 
     Raises
     ------
     InputError
-        For a missing or surplus parameter, or a covariance of the wrong shape or not positive
-        semi-definite.
+        For a missing or surplus parameter, a covariance of the wrong shape or not positive
+        semi-definite, or a mixture whose weights are not positive or do not sum to 1.
     UnknownNameError
         For an unknown kind.
     """
@@ -187,6 +192,7 @@ class MotionModel:
     slip: float = 0.0
     width: float | None = None
     wheelbase: float | None = None
+    mixture: Array | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -216,6 +222,8 @@ class MotionModel:
             object.__setattr__(
                 self, "covariance", checked_covariance(self.covariance, kind.noises, "covariance")
             )
+        if self.mixture is not None:
+            object.__setattr__(self, "mixture", checked_mixture(self.mixture, kind.noises))
 
     @property
     def control_names(self) -> tuple[str, ...]:
@@ -247,19 +255,25 @@ class MotionModel:
         jacobians : (K, 3, m) ndarray
             Derivatives with respect to every control column.
         """
-        controls = np.asarray(controls, dtype=float)
         kind = KINDS[self.kind]
-        if controls.ndim != 2 or controls.shape[1] != len(kind.controls):
-            columns = ", ".join(kind.controls) or "(none at all)"
+        parameter = {kind.parameter: getattr(self, kind.parameter)} if kind.parameter else {}
+        return kind.function(self._checked(controls), **parameter)
+
+    def _checked(self, controls: Any) -> Array:
+        controls = np.asarray(controls, dtype=float)
+        if controls.ndim != 2 or controls.shape[1] != len(self.control_names):
+            columns = ", ".join(self.control_names) or "(none at all)"
             raise InputError(
                 f"controls of {self.kind!r} need the columns {columns}; "
                 f"got an array of shape {controls.shape}"
             )
-        parameter = {kind.parameter: getattr(self, kind.parameter)} if kind.parameter else {}
-        return kind.function(controls, **parameter)
+        return controls
 
     def control_covariances(self, controls: Any) -> Array:
-        """Covariance of the noisy controls, (K, n, n); of kind ``none``, of the increments."""
+        """Covariance of the noisy controls, (K, n, n); of kind ``none``, of the increments.
+
+        With a mixture, of a component of scale 1.
+        """
         controls = np.asarray(controls, dtype=float)
         if self.covariance is not None:
             return np.broadcast_to(self.covariance, (len(controls), *self.covariance.shape))
@@ -275,13 +289,15 @@ class MotionModel:
     def increments(self, controls: Any, covariance: Array | None = None) -> Increments:
         """Increments of a run with their body covariances ``J Sigma_u J' + slip``.
 
-        Without controls, the perturbation's covariance stands for ``J Sigma_u J'``.
+        Without controls, the perturbation's covariance stands for ``J Sigma_u J'``. A mixture
+        stands as the Gaussian with its mean and covariance: the mean is taken off the controls.
 
         Parameters
         ----------
         controls : (K, m) array_like
         covariance : (K, n, n) ndarray, optional
-            Noise of each control instead of the model's own.
+            Noise of each control instead of the model's own; with a mixture, of a component of
+            scale 1.
 
         Returns
         -------
@@ -289,14 +305,60 @@ class MotionModel:
             In the frame of the first pose of each step: the EKF uses the covariance there; GTSAM's
             `BetweenFactorPose2` wants it rotated into the frame of the second.
         """
+        mixture = None if self.mixture is None else mixture_of(self.mixture)
+        return self._matched(controls, covariance, mixture)
+
+    def components(self, controls: Any, covariance: Array | None = None) -> Components:
+        """Increments of a run as the mixture that they are.
+
+        Parameters
+        ----------
+        controls, covariance
+            As of `increments`.
+
+        Returns
+        -------
+        Components
+            Component c has the increments of the controls less its offset, and the covariances of
+            noise of its scale; without a mixture, one component equal to `increments`.
+        """
+        if self.mixture is None:
+            only = self.increments(controls, covariance)
+            return Components(np.ones(1), only.deltas[None], only.covariances[None])
+        alone = self.mixture.copy()
+        alone[:, 0] = 1.0
+        parts = [self._matched(controls, covariance, mixture_of(row[None])) for row in alone]
+        deltas, covariances = map(np.stack, zip(*parts, strict=True))
+        return Components(mixture_of(self.mixture).weights, deltas, covariances)
+
+    def _matched(
+        self, controls: Any, covariance: Array | None, mixture: Mixture | None
+    ) -> Increments:
+        """Increments under the mean and the covariance of a mixture."""
+        controls, noisy = self._checked(controls), self.noisy_controls
+        if mixture is not None and noisy:
+            controls = np.hstack([controls[:, :noisy] - mixture.mean, controls[:, noisy:]])
         deltas, jacobians = self.increment(controls)
         noise = self.control_covariances(controls) if covariance is None else covariance
-        if self.noisy_controls:
-            covariances = congruence(jacobians[:, :, : self.noisy_controls], noise)
-        else:
-            covariances = noise.copy()
+        if mixture is not None:
+            noise = mixture.covariances(noise)
+            deltas = deltas if noisy else deltas - mixture.mean
+        covariances = congruence(jacobians[:, :, :noisy], noise) if noisy else noise.copy()
         covariances[:, 1, 1] += self.slip**2
         return Increments(deltas, covariances)
+
+    def scaled(self, factor: float) -> MotionModel:
+        """The same model with every standard deviation and offset of its noise scaled."""
+        changes: dict[str, Any] = {"slip": factor * self.slip}
+        if self.proportional is not None:
+            changes["proportional"] = tuple(factor * p for p in self.proportional)
+        else:
+            assert self.covariance is not None
+            changes["covariance"] = factor**2 * self.covariance
+        if self.mixture is not None:
+            shape = [1, 1] + [factor] * self.noises
+            changes["mixture"] = self.mixture * shape
+        return replace(self, **changes)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for TOML and JSON."""
@@ -306,6 +368,8 @@ class MotionModel:
         for name in ("proportional", "width", "wheelbase"):
             if getattr(self, name) is not None:
                 values[name] = getattr(self, name)
+        if self.mixture is not None:
+            values["mixture"] = self.mixture.tolist()
         return values
 
     def __eq__(self, other: object) -> bool:

@@ -9,7 +9,7 @@ from ekfslam.geometry import Array
 # First numbers of the keys of streams; sensor n has SENSORS + n.
 CONTROL, START, POLICY, SENSORS = range(4)
 # Purposes of further streams.
-ROBOTS, CLUTTER, DESCRIPTORS, MISTAKES = range(4)
+ROBOTS, CLUTTER, DESCRIPTORS, MISTAKES, COMPONENTS = range(5)
 
 
 def stream(seed: int, first: int, robot: int = 0, *purpose: int) -> np.random.Generator:

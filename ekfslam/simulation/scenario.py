@@ -29,6 +29,10 @@
     kind = "advance-turn"
     sigmas = [0.01, "1 deg"]
     slip = 0.001                  # the default for two noisy controls, 0 otherwise
+    mixture = [                   # optional: noise that is no Gaussian, as components of a weight,
+      [0.95, 1, 0, 0],            # a factor on the sigmas, and an offset of each noisy control;
+      [0.05, 1, 0.2, 0],          # offsets of zero may be left out of all
+    ]
 
     [prior]                       # optional: an exactly known start is the default
     sigmas = [0.1, 0.1, "2 deg"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from os import PathLike
 
 import numpy as np
@@ -11,9 +10,9 @@ from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset, Prior, Robot
 from ekfslam.errors import InputError
 from ekfslam.geometry import Array
-from ekfslam.models.motion import MotionModel
+from ekfslam.models.mixture import mixture_of
 from ekfslam.observations import NO_LANDMARK, Observations
-from ekfslam.simulation.draws import CONTROL, MISTAKES, POLICY, START, shaped, stream
+from ekfslam.simulation.draws import COMPONENTS, CONTROL, MISTAKES, POLICY, START, shaped, stream
 from ekfslam.simulation.outliers import clutter, mistake
 from ekfslam.simulation.plans import RobotPlan
 from ekfslam.simulation.reading import load_scenario
@@ -35,13 +34,13 @@ def simulate(
     scenario : str, path or Scenario
         As for `load_scenario`.
     seed : int
-        Of the run. Controls and prior of each robot, landmark policy, outliers and each sensor
-        have random streams of their own, and the noise of a sighting depends on pose, sensor and
-        landmark alone: a further sensor or robot, a landmark that drops out of sight, or clutter
-        changes no other draw.
+        Of the run. Controls, mixture components and prior of each robot, landmark policy, outliers
+        and each sensor have random streams of their own, and the noise of a sighting depends on
+        pose, sensor and landmark alone: a further sensor or robot, a landmark that drops out of
+        sight, or clutter changes no other draw.
     noise : float
-        Scales every standard deviation, as stated in the dataset and as drawn: the same draw of a
-        smaller problem.
+        Scales every standard deviation, and the offsets of mixtures, as stated in the dataset and
+        as drawn: the same draw of a smaller problem.
     draw : float
         Scales what is drawn and not what is stated; 0 gives data without noise that still state
         theirs. Outliers are not noise and stay.
@@ -75,10 +74,10 @@ def simulate(
     seed = int(seed)
     robots, truths = [], []
     for number, plan in enumerate(scenario.robot_plans):
-        random = stream(seed, CONTROL, number)
-        controls, truth = _drive(plan, scenario.noise_on, random, noise * odometry_noise * draw)
+        scale = noise * odometry_noise * draw
+        controls, truth = _drive(plan, scenario.noise_on, seed, number, scale)
         prior = _draw_prior(plan, stream(seed, START, number), noise, draw)
-        motion = _scaled(plan.motion, noise * odometry_noise)
+        motion = plan.motion.scaled(noise * odometry_noise)
         robots.append(Robot(motion, controls, prior, truth, plan.name))
         truths.append(truth)
     seen = _look(scenario, np.stack(truths), seed, noise * draw)
@@ -108,23 +107,36 @@ def simulate(
 
 
 def _drive(
-    plan: RobotPlan, noise_on: str, random: np.random.Generator, scale: float
+    plan: RobotPlan, noise_on: str, seed: int, number: int, scale: float
 ) -> tuple[Array, Array]:
     """Measured controls (K, m) and true poses (K + 1, 3)."""
     motion, command = plan.motion, plan.controls
     covariances = motion.control_covariances(command)
+    random = stream(seed, CONTROL, number)
     draws = random.standard_normal((len(command), covariances.shape[-1] + 1))
-    noise = scale * shaped(covariances, draws[:, :-1])
+    on_odometry = noise_on == "odometry"
+    noise = shaped(covariances, draws[:, :-1])
+    if motion.mixture is not None:  # an offset is of the measured less the true control
+        scales, offsets = _components(motion.mixture, len(command), seed, number)
+        noise = scales * noise + (offsets if on_odometry else -offsets)
+    noise = scale * noise
     noisy = motion.noisy_controls
     perturbed = command.copy()
     perturbed[:, :noisy] += noise[:, :noisy]
-    on_odometry = noise_on == "odometry"
     driven, measured = (command, perturbed) if on_odometry else (perturbed, command)
     increments = motion.increment(driven)[0]
     if not noisy:  # no control to perturb: the robot itself is
         increments += noise
     increments[:, 1] += scale * motion.slip * draws[:, -1]
     return measured, geo.integrate(plan.start, increments)
+
+
+def _components(rows: Array, steps: int, seed: int, number: int) -> tuple[Array, Array]:
+    """Scales (steps, 1) and offsets (steps, n) of a component drawn for each step."""
+    mixture = mixture_of(rows)
+    draws = stream(seed, CONTROL, number, COMPONENTS).random(steps)
+    drawn = np.searchsorted(np.cumsum(mixture.weights)[:-1], draws, side="right")
+    return mixture.scales[drawn, None], mixture.offsets[drawn]
 
 
 def _look(scenario: Scenario, truths: Array, seed: int, scale: float) -> Rows:
@@ -151,11 +163,3 @@ def _draw_prior(plan: RobotPlan, random: np.random.Generator, noise: float, draw
         mean += noise * draw * shaped(prior.covariance[None], random.standard_normal((1, 3)))[0]
         mean[2] = geo.wrap(mean[2])
     return Prior(mean, noise**2 * prior.covariance)
-
-
-def _scaled(motion: MotionModel, scale: float) -> MotionModel:
-    if motion.proportional is not None:
-        p1, p2 = motion.proportional
-        return replace(motion, proportional=(scale * p1, scale * p2), slip=scale * motion.slip)
-    assert motion.covariance is not None
-    return replace(motion, covariance=scale**2 * motion.covariance, slip=scale * motion.slip)

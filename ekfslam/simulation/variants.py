@@ -17,6 +17,7 @@ from ekfslam.simulation.scenario import Scenario
 # Each pair says the same thing in two ways; the one that is set replaces the other.
 _EITHER = {"sigmas": "covariance", "covariance": "sigmas"}
 _WORDS = ("name", "description")
+_LATER = ("mixture",)  # settings that count where they are set, so that older digests hold
 _OF_ROBOTS = ("start", "controls", "motion", "prior", "draw_prior", "robot_name", "team")
 
 
@@ -108,7 +109,9 @@ def _canonical(value: Any) -> Any:
         numbers = np.ascontiguousarray(value, dtype="<f8") + 0.0  # no negative zeros
         return [list(value.shape), hashlib.sha256(numbers.tobytes()).hexdigest()]
     if is_dataclass(value):
-        return {f.name: _canonical(getattr(value, f.name)) for f in fields(value)}
+        settings = {f.name: getattr(value, f.name) for f in fields(value)}
+        unset = [name for name in _LATER if settings.get(name, 0) is None]
+        return {n: _canonical(setting) for n, setting in settings.items() if n not in unset}
     if isinstance(value, Mapping):
         return {name: _canonical(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
