@@ -29,6 +29,7 @@ SOURCES = (
     "estimates.py",
     "association/*.py",
     "filters/*.py",
+    "filters/fastslam/*.py",
     "filters/variants/*.py",
     "models/*.py",
 )

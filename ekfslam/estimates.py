@@ -222,6 +222,8 @@ class Estimate:
         Rows in it.
     step_seconds : (K + 1,) ndarray or None
         Wall time of each step [s].
+    effective_samples : (K + 1,) ndarray or None
+        Of a particle filter: ``1 / sum w^2`` after what was seen, before particles are resampled.
     time_total, time_marginals : float
         Wall time from dataset to means, and of recovering covariances beyond it [s]; a filter
         computes both at once and has `time_marginals` 0.
@@ -247,6 +249,7 @@ class Estimate:
     step_nis: Array | None = None
     step_dof: np.ndarray | None = None
     step_seconds: Array | None = None
+    effective_samples: Array | None = None
     time_total: float = float("nan")
     time_marginals: float = float("nan")
     graph_error: float = float("nan")

@@ -55,6 +55,7 @@ def full(rng):
         step_nis=draw(STEPS),
         step_dof=np.arange(STEPS),
         step_seconds=draw(STEPS) ** 2,
+        effective_samples=1 + draw(STEPS) ** 2,
         time_total=0.1 + 0.2,
         time_marginals=1e-300,
         graph_error=float("inf"),
