@@ -83,6 +83,9 @@ class Dataset:
         Where the data come from.
     seed : int, optional
         Of the simulation.
+    notes : tuple of str
+        What a reader of its tables must know, a sentence or two each. Those that speak of NEES also
+        stand in the figures of it.
 
     Raises
     ------
@@ -100,10 +103,15 @@ class Dataset:
     true_landmark: np.ndarray | None = None
     provenance: str = ""
     seed: int | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.robots:
             raise InputError("a dataset needs at least one robot")
+        listed = isinstance(self.notes, tuple | list)
+        if not listed or not all(isinstance(note, str) for note in self.notes):
+            raise InputError(f"notes must be several texts, got {self.notes!r}")
+        object.__setattr__(self, "notes", tuple(self.notes))
         object.__setattr__(self, "robots", _told_apart(self.robots))
         object.__setattr__(self, "sensors", _told_apart(self.sensors))
         times = checked_array(self.times, float, (None,), "times")
@@ -373,6 +381,7 @@ class Dataset:
             name=self.name,
             provenance=self.provenance,
             seed=self.seed,
+            notes=self.notes,
             sensors=[s.to_dict() for s in self.sensors],
             robots=[{"name": r.name, "motion": r.motion.to_dict()} for r in self.robots],
         )
@@ -435,4 +444,5 @@ class Dataset:
                 reader.get("true_landmark"),
                 header["provenance"],
                 header["seed"],
+                header.get("notes", ()),
             )

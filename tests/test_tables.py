@@ -32,6 +32,7 @@ SUMMARY = [
     "status",
     "message",
     "steps",
+    "truth_poses",
     "observations",
     "landmarks_true",
     "landmarks_estimated",
@@ -54,9 +55,13 @@ SUMMARY = [
     "nees_pose_final",
     "nees_pose_invariant_mean",
     "nees_pose_inside_95",
+    "nees_position_mean",
+    "nees_position_inside_95",
     "nees_landmark_mean",
     "nis_per_dof",
     "nis_inside_95",
+    "effective_samples_mean",
+    "effective_samples_min",
     "graph_error",
     "graph_chi2_per_dof",
     "gap_final_position_m",
@@ -256,7 +261,7 @@ def test_summary_of_chosen_errors(dataset, estimate):
     ]
     said = 'floor, "1e-4 m"; NEES skipped at 1 of 61 poses (singular covariance)'
     assert online[["alignment", "status", "message"]].tolist() == ["none", "ok", said]
-    assert online["steps":"landmarks_undetermined"].tolist() == [COUNT, 3, 2, 3, 0]
+    assert online["steps":"landmarks_undetermined"].tolist() == [COUNT, COUNT, 3, 2, 3, 0]
     assert online["landmarks_matched":"landmarks_merged"].tolist() == [2, 0, 1, 0, 0]
     # Landmark 6 is in the map that no observation put there, and was not recognised.
     assert online[["association_precision", "association_recall"]].tolist() == [1.0, 0.5]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console
 from rich.markup import escape
 from rich.measure import Measurement
+from rich.padding import Padding
 from rich.table import Table
 
 if TYPE_CHECKING:
@@ -31,11 +32,14 @@ def print_list(rows: list[tuple[str, str]]) -> None:
     _console().print(table)
 
 
-def print_summary(summary: pd.DataFrame) -> None:
-    """Dataset by dataset, and a column only where it says something."""
+def print_summary(summary: pd.DataFrame, notes: Mapping[str, Sequence[str]] | None = None) -> None:
+    """Dataset by dataset, with its notes, and a column only where it says something."""
     import pandas as pd
 
     console = _console()
+    # The position alone is judged where the whole pose cannot be.
+    alone = summary["nees_position_mean"].where(summary["nees_pose_mean"].isna())
+    summary = summary.assign(nees_position_mean=alone)
     groups: Any = summary.groupby(["dataset", "seed"], sort=False, dropna=False)
     for (name, seed), part in groups:
         who = ["robot"] if part["robot"].nunique() > 1 else []
@@ -44,6 +48,8 @@ def print_summary(summary: pd.DataFrame) -> None:
         for _, row in part.drop_duplicates("estimator").iterrows():
             if isinstance(row["message"], str) and row["message"]:
                 console.print(escape(f"  {row['estimator']}: {row['message']}"), style="dim")
+        for note in (notes or {}).get(name, ()):
+            console.print(Padding(escape(note), (0, 0, 0, 2)), style="dim")
         if _associated(part):
             once = part.drop_duplicates(["estimator", *who]).dropna(subset="landmarks_estimated")
             once = once.assign(
@@ -229,7 +235,9 @@ MEASURED = (
     Column("rpe_position_rmse_m", "RPE\n[m]", _digits),
     Column("landmark_rmse_m", "landm.\n[m]", _digits),
     Column("nees_pose_mean", "NEES\n(3)", _digits),
+    Column("nees_position_mean", "NEES\npos. (2)", _digits),
     Column("nis_per_dof", "NIS\n/dof", _digits),
+    Column("effective_samples_mean", "eff.\nsamples", _digits),
     Column("graph_chi2_per_dof", "chi2\n/dof", _digits),
     Column("gap_final_position_m", "pose gap\nto batch [m]", _digits),
     Column("gap_landmark_rmse_m", "map gap\n[m]", _digits),
@@ -266,6 +274,7 @@ SPREAD = {
     "invariant": ("run_nees_pose_invariant_mean", "run_nees_pose_invariant_se"),
     "nis": ("nis_per_dof", "nis_per_dof_sd"),
     "ate": ("ate_position_rmse_m_mean", "ate_position_rmse_m_se"),
+    "samples": ("effective_samples_mean", "effective_samples_se"),
 }
 OVER_RUNS = (
     Column("runs", "runs", str),
@@ -277,6 +286,7 @@ OVER_RUNS = (
     Column("interval", "95 % of it, if\nconsistent", str),
     Column("nis", "NIS/dof\n± s.d.", str),
     Column("ate", "ATE [m]\nmean ± s.e.", str),
+    Column("samples", "eff. samples\nmean ± s.e.", str),
     Column("sigma_ratio_position_median", "sigma ratio\nmedian", _digits),
     Column("gap_final_position_m_median", "pose gap [m]\nmedian", _digits),
     Column("graph_chi2_per_dof", "chi2\n/dof", _digits),
@@ -319,10 +329,12 @@ def _associated(part: pd.DataFrame) -> bool:
 def _title(name: str, seed: Any, part: pd.DataFrame) -> str:
     first = part.iloc[0]
     of_robots = part[part["estimator"] == first["estimator"]].drop_duplicates("robot")
+    poses, true = first["steps"] * len(of_robots), of_robots["truth_poses"].sum()
     title = f"{name}, seed {seed}" if _known(seed) else name
     title += f": {first['steps']} poses, {of_robots['observations'].sum()} observations"
     there = first["landmarks_true"]
-    return title + (f", {there} landmarks" if _known(there) else "")
+    title += f", {there} landmarks" if _known(there) else ""
+    return title + (f", true positions of {true} of {poses} poses" if 0 < true < poses else "")
 
 
 # Tables -----------------------------------------------------------------------------------------

@@ -229,7 +229,8 @@ def validate(dataset: Dataset, estimate: Estimate) -> None:
     k, m, r = dataset.poses, len(dataset.observations), len(dataset.robots)
     steps = (k,) if r == 1 else (r, k)
     shapes: dict[str, tuple[np.ndarray | None, tuple[int, ...]]] = {
-        name: (getattr(estimate, name), (k,)) for name in ("step_nis", "step_dof", "step_seconds")
+        name: (getattr(estimate, name, None), (k,))
+        for name in ("step_nis", "step_dof", "step_seconds", "effective_samples")
     }
     for name, series in estimate.series.items():
         shapes[f"{name}.poses"] = (series.poses, (*steps, 3))
@@ -266,10 +267,11 @@ def judged(dataset: Dataset, estimate: Estimate, alignment: str = "none") -> Est
 
     An estimate has diverged if a pose or a landmark is not finite; if a final covariance (of the
     last pose, of a landmark, of pose and map together) is not finite or has a negative eigenvalue
-    that rounding does not explain; or if the truth, where known, is lost: the final position is off
-    by more than both 10 sigmas (of the largest axis of its own covariance) and 5 % of the length of
-    the true path. Of several robots one is enough; the reason names it. A covariance that is NaN
-    throughout was not computed and is not judged.
+    that rounding does not explain; or if the truth, where known, is lost: the last position whose
+    truth is known is off by more than both 10 sigmas (of the largest axis of its own covariance)
+    and 5 % of the length of the true path, see `ekfslam.evaluation.path_length`. A truth of fewer
+    than two positions says nothing of that. Of several robots one is enough; the reason names it. A
+    covariance that is NaN throughout was not computed and is not judged.
 
     Parameters
     ----------
@@ -277,7 +279,7 @@ def judged(dataset: Dataset, estimate: Estimate, alignment: str = "none") -> Est
     estimate : Estimate
         Returned unchanged unless its status is `ok`.
     alignment : {"none", "se2"}
-        Applied before the final position is compared with the truth.
+        Applied before the position is compared with the truth.
 
     Returns
     -------
@@ -318,8 +320,8 @@ def _series_faults(
         yield f"{name} pose of step {bad[0]} is not finite"
     elif series.covariances is not None and not _positive(series.covariances[-1]):
         yield f"covariance of the final {name} pose is not positive"
-    elif truth is not None and (lost := _lost(series, truth, motion)):
-        yield f"final {name} position is {lost}"
+    elif truth is not None and (lost := _lost(name, series, truth, motion)):
+        yield lost
 
 
 def _landmark_faults(landmarks: LandmarkEstimates | None) -> Iterator[str]:
@@ -356,14 +358,23 @@ def _positive(covariances: Array) -> bool:
     return True
 
 
-def _lost(series: Trajectory, truth: Array, motion: Array) -> str:
-    """How far the final position is off, if it is lost; otherwise nothing."""
-    if series.covariances is None or not np.isfinite(series.covariances[-1]).all():
+def _lost(name: str, series: Trajectory, truth: Array, motion: Array) -> str:
+    """How far the last position with a truth is off, if it is lost; otherwise nothing."""
+    known = np.flatnonzero(np.isfinite(truth[:, 0]))
+    if series.covariances is None or len(known) < 2:
         return ""
-    error = np.linalg.norm(geo.compose(motion, series.poses[-1])[:2] - truth[-1, :2])
-    sigma = np.sqrt(max(np.linalg.eigvalsh(series.covariances[-1][:2, :2])[-1], 0.0))
-    length = path_length(truth)[-1]
+    last = known[-1]
+    covariance = series.covariances[last]
+    if not np.isfinite(covariance).all():
+        return ""
+    error = np.linalg.norm(geo.compose(motion, series.poses[last])[:2] - truth[last, :2])
+    sigma = np.sqrt(max(np.linalg.eigvalsh(covariance[:2, :2])[-1], 0.0))
+    length = path_length(truth)[last]
     if error <= LOST_SIGMAS * sigma or error <= LOST_SHARE * length:
         return ""
+    which = (
+        f"final {name} position" if last == len(truth) - 1 else f"{name} position of step {last}"
+    )
     sigmas = f"{error / sigma:.0f} of its sigmas" if sigma > 0 else "with a sigma of zero"
-    return f"{error:.3g} m off: {sigmas}, {100 * error / length:.0f} % of the path"
+    share = f", {100 * error / length:.0f} % of the path" if length > 0 else ""
+    return f"{which} is {error:.3g} m off: {sigmas}{share}"

@@ -35,6 +35,7 @@ MEANS = {
     "ate_position_rmse_m": "ate_position_rmse_m",
     "ate_heading_rmse_rad": "ate_heading_rmse_rad",
     "landmark_rmse_m": "landmark_rmse_m",
+    "effective_samples": "effective_samples_mean",
 }
 """Columns of the runs that are averaged over them: NAME_mean with its standard error NAME_se."""
 
@@ -93,7 +94,7 @@ STATISTICS: Mapping[str, str] = schema_of(
     (REAL, "rms_position_m rms_heading_rad"),
     (REAL, "rms_position_time_mean_m rms_heading_time_mean_rad"),
     (REAL, f"{' '.join(ROOTS)} {_both('ate_position_rmse_m')} {_both('ate_heading_rmse_rad')}"),
-    (REAL, _both("landmark_rmse_m")),
+    (REAL, f"{_both('landmark_rmse_m')} {_both('effective_samples')}"),
     (REAL, " ".join(f"{name}_median" for name in list(MEDIANS)[2:])),
     (REAL, "graph_chi2_per_dof graph_chi2_per_dof_sd"),
     (WHOLE, "graph_dof credibility_step"),

@@ -92,21 +92,21 @@ def _without_nan(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _nees_scalars(run: Run, skip: int) -> dict[str, float]:
-    if not run.has_nees:
+    if run.series.covariances is None or not run.positions.any():
         return {}
     pose, invariant = run.nees[skip:], run.nees_invariant[skip:]
-    covariances = run.series.covariances[skip:]  # type: ignore[index]
+    covariances = run.series.covariances[skip:]
     error, xi = run.error[skip:], run.error_invariant[skip:]
     turned = geo.additive_to_invariant(run.series.poses[skip:], covariances)
     return {
         "nees_pose_mean_kept": mean(pose),
         "nees_pose_invariant_mean_kept": mean(invariant),
-        "nees_position_mean_kept": mean(_nees(error, covariances, slice(0, 2))),
+        "nees_position_mean_kept": mean(run.nees_position[skip:]),
         "nees_position_invariant_mean_kept": mean(_nees(xi, turned, slice(0, 2))),
         "nees_heading_mean_kept": mean(_nees(error, covariances, slice(2, 3))),
         "nees_pose_inside_95_kept": share_inside(pose, 3),
         "nees_pose_invariant_inside_95_kept": share_inside(invariant, 3),
-        "nees_pose_invariant_final": float(invariant[-1]),
+        "nees_pose_invariant_final": float(run.nees_invariant[run.last_heading]),
     }
 
 
@@ -118,17 +118,23 @@ def _nees(errors: Array, covariances: Array, part: slice) -> Array:
 def _error_scalars(run: Run, skip: int) -> dict[str, float]:
     square = run.error**2
     position, heading = square[:, :2].sum(axis=1), square[:, 2]
+    kept = np.arange(len(square)) >= skip
     scalars = {
-        "position_mse_kept_m2": float(position[skip:].mean()),
-        "heading_mse_kept_rad2": float(heading[skip:].mean()),
-        "final_position_error_m": float(np.sqrt(position[-1])),
-        "final_heading_error_rad": float(np.sqrt(heading[-1])),
+        "position_mse_kept_m2": _mean(position[kept & run.positions]),
+        "heading_mse_kept_rad2": _mean(heading[kept & run.headings]),
+        "final_position_error_m": float(np.sqrt(position[run.last_position])),
+        "final_heading_error_rad": float(np.sqrt(heading[run.last_heading])),
     }
     if run.series.covariances is not None:
-        variances = np.diagonal(run.series.covariances[-1])
-        scalars["final_position_sigma_m"] = float(np.sqrt(variances[:2].sum()))
-        scalars["final_heading_sigma_rad"] = float(np.sqrt(variances[2]))
+        where = run.series.covariances[[run.last_position, run.last_heading]]
+        scalars["final_position_sigma_m"] = float(np.sqrt(where[0, 0, 0] + where[0, 1, 1]))
+        scalars["final_heading_sigma_rad"] = float(np.sqrt(where[1, 2, 2]))
     return scalars
+
+
+def _mean(values: Array) -> float:
+    """NaN if one of them is NaN or there are none."""
+    return float(values.mean()) if len(values) else float("nan")
 
 
 def _gap_scalars(run: Run, reference: Estimate | None) -> dict[str, float]:

@@ -31,7 +31,7 @@ class Run:
     series : Trajectory
         Of this robot as estimated; poses that are not finite are NaN.
     truth : (K + 1, 3) ndarray
-        NaN where not known.
+        NaN where not known, of a whole pose or of its heading alone.
     motion : (3,) ndarray
         What brings poses and map into the frame of the truth: the alignment of the series.
     """
@@ -42,14 +42,29 @@ class Run:
     truth: Array
     motion: Array
 
+    @cached_property
+    def positions(self) -> np.ndarray:
+        """Which poses have a true position, (K + 1,) of bool."""
+        return np.isfinite(self.truth[:, 0])
+
+    @cached_property
+    def headings(self) -> np.ndarray:
+        """Which of them have a true heading as well, so that their whole pose is known."""
+        return np.isfinite(self.truth[:, 2])
+
     @property
-    def has_nees(self) -> bool:
-        """Whether there is what NEES needs: a truth and covariances."""
-        return self.series.covariances is not None and not np.isnan(self.truth).all()
+    def last_position(self) -> int:
+        """The last pose with a true position; the last of all if there is none."""
+        return last_of(self.positions)
+
+    @property
+    def last_heading(self) -> int:
+        """The last pose with a true heading; the last of all if there is none."""
+        return last_of(self.headings)
 
     @cached_property
     def error(self) -> Array:
-        """Of the poses as estimated, additive, (K + 1, 3)."""
+        """Of the poses as estimated, additive, (K + 1, 3); NaN where the truth is."""
         return geo.additive_error(self.truth, self.series.poses)
 
     @cached_property
@@ -59,7 +74,7 @@ class Run:
 
     @property
     def nees(self) -> Array:
-        """NEES of the poses as estimated, (K + 1,); NaN where skipped."""
+        """NEES of the poses as estimated, 3 dof, (K + 1,); NaN without a true pose or skipped."""
         return self._nees[0]
 
     @property
@@ -68,9 +83,16 @@ class Run:
         return self._nees[1]
 
     @cached_property
+    def nees_position(self) -> Array:
+        """NEES of the positions alone, 2 dof, in their own covariance; needs no true heading."""
+        if self.series.covariances is None or not self.positions.any():
+            return np.full(len(self.truth), np.nan)
+        return squared_mahalanobis(self.error[:, :2], self.series.covariances[:, :2, :2])
+
+    @cached_property
     def _nees(self) -> Array:
         """Both, (2, K + 1): as `pose_nees` and `pose_nees_invariant`."""
-        if self.series.covariances is None or not self.has_nees:
+        if self.series.covariances is None or not self.headings.any():
             return np.full((2, len(self.truth)), np.nan)
         errors = self.error, turned_error(self.series.poses, self.error_invariant)
         return squared_mahalanobis(np.stack(errors), self.series.covariances)
@@ -103,6 +125,17 @@ def runs(dataset: Dataset, estimate: Estimate, alignment: str) -> list[Run]:
             series = Trajectory(nan_unless_finite(mine.poses), mine.covariances)
             views.append(Run(index, name, series, truth, motions[name]))
     return views
+
+
+def last_of(which: np.ndarray) -> int:
+    """Number of the last one that is true; of the last of all if none is."""
+    found = np.flatnonzero(which)
+    return int(found[-1]) if len(found) else len(which) - 1
+
+
+def effective_samples(estimate: Estimate) -> Array | None:
+    """Effective sample size of a particle filter at each pose, (K + 1,); None of others."""
+    return getattr(estimate, "effective_samples", None)
 
 
 def nan_unless_finite(rows: Array) -> Array:

@@ -85,3 +85,9 @@ def rmse(errors: ArrayLike) -> float:
     """Root of the mean square of errors (N,); NaN if one of them is NaN or there are none."""
     errors = np.asarray(errors, dtype=float)
     return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
+
+
+def largest(errors: ArrayLike) -> float:
+    """Largest of some sizes of errors (N,); NaN if one of them is NaN or there are none."""
+    errors = np.asarray(errors, dtype=float)
+    return float(errors.max()) if errors.size else float("nan")

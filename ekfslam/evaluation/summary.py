@@ -16,11 +16,20 @@ from ekfslam.evaluation.association import (
 )
 from ekfslam.evaluation.consistency import gaps, validate
 from ekfslam.evaluation.landmarks import MATCH_RADIUS, match_landmarks, true_positions
-from ekfslam.evaluation.runs import Run, aligned_map, landmark_nees, quiet, row_keys, runs
+from ekfslam.evaluation.runs import (
+    Run,
+    aligned_map,
+    effective_samples,
+    landmark_nees,
+    quiet,
+    row_keys,
+    runs,
+)
 from ekfslam.evaluation.schema import concat, filled
-from ekfslam.evaluation.statistics import mean, rmse, share_inside
+from ekfslam.evaluation.statistics import largest, mean, rmse, share_inside
 from ekfslam.evaluation.trajectory import absolute_errors, relative_errors
 from ekfslam.geometry import Array
+from ekfslam.robots import Robot
 
 
 def summary_rows(
@@ -89,30 +98,43 @@ def summary_scalars(
         | shared
         | {"series": run.name, "alignment": _applied(dataset, alignment)}
         | {"message": _message(estimate, run)}
+        | {"truth_poses": int(run.positions.sum())}
         | {"observations": int((dataset.observations.robot == run.robot).sum())}
         | _association_scalars(dataset, scores, run.robot)
         | _pose_scalars(run, rpe_distance)
         | _map_scalars(dataset, estimate, match_radius, run.motion)
-        | (_nis_scalars(estimate) if run.name == "online" else _graph_scalars(estimate))
+        | (_online_scalars(estimate) if run.name == "online" else _graph_scalars(estimate))
         | _gap_scalars(dataset, estimate, run, reference)
         for run in runs(dataset, estimate, alignment)
     ]
-    alone = row_keys(dataset, estimate) | shared | {"observations": len(dataset.observations)}
-    return rows or [alone]
+    alone = {
+        "truth_poses": sum(map(_true_positions, dataset.robots)),
+        "observations": len(dataset.observations),
+    }
+    return rows or [row_keys(dataset, estimate) | shared | alone]
 
 
 # Values of the columns --------------------------------------------------------------------------
 
 
+def _true_positions(robot: Robot) -> int:
+    """How many of its poses have a true position."""
+    return 0 if robot.truth is None else int(np.isfinite(robot.truth[:, 0]).sum())
+
+
 def _applied(dataset: Dataset, alignment: str) -> str:
     """Without a truth there is nothing to align with."""
-    return alignment if any(robot.truth is not None for robot in dataset.robots) else "none"
+    return alignment if any(map(_true_positions, dataset.robots)) else "none"
 
 
 def _message(estimate: Estimate, run: Run) -> str:
     """What the estimator said, and at how many poses NEES had to be skipped."""
-    skipped = int(np.isnan(run.nees).sum()) if run.has_nees else 0
-    note = f"NEES skipped at {skipped} of {len(run.nees)} poses (singular covariance)"
+    # Of whole poses, or of positions where no heading is known.
+    nees, known = run.nees, run.headings
+    if not known.any():
+        nees, known = run.nees_position, run.positions
+    skipped = 0 if run.series.covariances is None else int(np.isnan(nees[known]).sum())
+    note = f"NEES skipped at {skipped} of {int(known.sum())} poses (singular covariance)"
     return "; ".join(filter(None, [estimate.message, note if skipped else ""]))
 
 
@@ -149,17 +171,21 @@ def _map_scalars(
 
 def _pose_scalars(run: Run, rpe_distance: float) -> dict[str, float]:
     ate = absolute_errors(run.aligned, run.truth)
+    # Left out is what has no truth; a pose that is not finite where it is known leaves it empty.
+    position, heading = ate.position[run.positions], ate.heading[run.headings]
     rpe = relative_errors(run.series.poses, run.truth, rpe_distance)
     return {
-        "ate_position_rmse_m": rmse(ate.position),
-        "ate_position_max_m": float(ate.position.max()),
-        "ate_heading_rmse_rad": rmse(ate.heading),
+        "ate_position_rmse_m": rmse(position),
+        "ate_position_max_m": largest(position),
+        "ate_heading_rmse_rad": rmse(heading),
         "rpe_position_rmse_m": rmse(rpe.position),
         "rpe_heading_rmse_rad": rmse(rpe.heading),
         "nees_pose_mean": mean(run.nees),
-        "nees_pose_final": float(run.nees[-1]),
+        "nees_pose_final": float(run.nees[run.last_heading]),
         "nees_pose_invariant_mean": mean(run.nees_invariant),
         "nees_pose_inside_95": share_inside(run.nees, 3),
+        "nees_position_mean": mean(run.nees_position),
+        "nees_position_inside_95": share_inside(run.nees_position, 2),
     }
 
 
@@ -177,6 +203,20 @@ def _landmark_scalars(
         "landmark_max_m": float(size.max()),
         "nees_landmark_mean": mean(landmark_nees(landmarks, truth)),
     }
+
+
+def _online_scalars(estimate: Estimate) -> dict[str, float]:
+    return _nis_scalars(estimate) | _sample_scalars(estimate)
+
+
+def _sample_scalars(estimate: Estimate) -> dict[str, float]:
+    """How many particles carried the weight."""
+    samples = effective_samples(estimate)
+    if samples is None:
+        return {}
+    known = samples[np.isfinite(samples)]
+    least = float(known.min()) if len(known) else float("nan")
+    return {"effective_samples_mean": mean(known), "effective_samples_min": least}
 
 
 def _nis_scalars(estimate: Estimate) -> dict[str, float]:

@@ -1,4 +1,8 @@
-"""Absolute and relative errors of trajectories in SE(2), and their alignment with the truth."""
+"""Absolute and relative errors of trajectories in SE(2), and their alignment with the truth.
+
+The truth may be known in part: NaN of a whole pose, or of its heading alone. What needs the part
+that is not known is NaN or left out, as each function says.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +26,9 @@ class PoseErrors(NamedTuple):
     Attributes
     ----------
     position : (N,) ndarray
-        Norm of the position error [m].
+        Norm of the position error [m]; NaN where there is none.
     heading : (N,) ndarray
-        Size of the wrapped heading error [rad], in [0, pi].
+        Size of the wrapped heading error [rad], in [0, pi]; NaN likewise.
     """
 
     position: Array
@@ -37,10 +41,12 @@ def alignment_motion(poses: ArrayLike, truth: ArrayLike, alignment: str = "none"
     Parameters
     ----------
     poses, truth : (N, 3) array_like
-        Estimated and true poses; poses that are not finite take no part.
+        Estimated and true poses; estimates that are not finite take no part, nor do poses whose
+        true position is not known. Headings of the truth are not needed.
     alignment : {"none", "se2"}
         "none" is the identity, right where the start is known. "se2" is the motion that minimises
-        the sum of squared distances between positions; headings follow it.
+        the sum of squared distances between positions; headings follow it. Of a single position it
+        is a shift.
 
     Returns
     -------
@@ -56,7 +62,7 @@ def alignment_motion(poses: ArrayLike, truth: ArrayLike, alignment: str = "none"
     if alignment not in ALIGNMENTS:
         raise UnknownNameError("alignment", alignment, ALIGNMENTS)
     poses, truth = _pair(poses, truth)
-    finite = np.isfinite(poses).all(axis=1)
+    finite = np.isfinite(poses).all(axis=1) & np.isfinite(truth[:, 0])
     if alignment == "none" or not finite.any():
         return np.zeros(3)
     return geo.align(poses[finite, :2], truth[finite, :2])
@@ -102,17 +108,34 @@ def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> PoseErrors:
     Returns
     -------
     PoseErrors
-        One per pose.
+        One per pose: of the position where that is known, of the heading where it is.
     """
     poses, truth = _pair(poses, truth)
     return _sizes(geo.additive_error(truth, poses))
 
 
 def path_length(poses: ArrayLike) -> Array:
-    """Length travelled until each pose [m], (N,): the sum of the straight steps before it."""
+    """Length travelled until each pose [m]: the sum of the straight steps before it.
+
+    A gap counts as the straight line between the known positions on either side of it, which is
+    the least that was travelled; what came before the first known position does not count.
+
+    Parameters
+    ----------
+    poses : (N, 2 or more) array_like
+        Rows that start with a position [m], NaN where it is not known.
+
+    Returns
+    -------
+    (N,) ndarray
+        NaN where the position is not known.
+    """
     poses = np.asarray(poses, dtype=float)
-    steps = np.diff(poses[:, :2], axis=0)
-    return np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
+    known = np.isfinite(poses[:, :2]).all(axis=1)
+    length = np.full(len(poses), np.nan)
+    steps = np.diff(poses[known, :2], axis=0)
+    length[known] = np.append(0.0, np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))[: known.sum()]
+    return length
 
 
 def relative_errors(
@@ -123,6 +146,10 @@ def relative_errors(
     The error of a pair (i, j) is ``(T_i^-1 T_j)^-1 (E_i^-1 E_j)`` with the true poses T and the
     estimated poses E (Sturm et al. 2012, "A benchmark for the evaluation of RGB-D SLAM systems",
     Eq. 1). No rigid motion of either trajectory changes it.
+
+    Both poses of a pair must be known with their headings: without them there is no relative pose,
+    nor a relative position that no rigid motion changes. The path across a gap is as in
+    `path_length`, and a pair that a gap longer than the distance makes longer is left out.
 
     Parameters
     ----------
@@ -149,15 +176,18 @@ def relative_errors(
 
 
 def _pairs(truth: Array, distance: float | None) -> tuple[np.ndarray, np.ndarray]:
-    start = np.arange(len(truth))
+    known = np.flatnonzero(np.isfinite(truth).all(axis=1))
     if distance is None:
-        return start[:-1], start[1:]
+        neighbours = np.flatnonzero(np.diff(known) == 1)
+        return known[neighbours], known[neighbours + 1]
     if not 0.0 < distance < np.inf:
         raise InputError(f"the distance of relative errors must be positive, got {distance}")
-    travelled = path_length(truth)
+    travelled = path_length(truth)[known]
     end = np.searchsorted(travelled, travelled + distance * (1.0 - 1e-9))
-    reached = end < len(truth)
-    return start[reached], end[reached]
+    start = np.flatnonzero(end < len(known))
+    end = end[start]
+    gap = (known[end] - known[end - 1] > 1) & (travelled[end] - travelled[end - 1] > distance)
+    return known[start[~gap]], known[end[~gap]]
 
 
 def _pair(poses: ArrayLike, truth: ArrayLike) -> tuple[Array, Array]:

@@ -49,8 +49,12 @@ SCHEMAS: Mapping[str, Mapping[str, str]] = {
 }
 """Columns of each table of a campaign, in order, with their dtypes."""
 
-COMPARABLE = tuple(name for name, dtype in SCHEMAS["runs"].items() if dtype == REAL)
-"""Columns of `runs` by which estimators can be compared."""
+COMPARABLE = tuple(
+    name
+    for name, dtype in SCHEMAS["runs"].items()
+    if dtype == REAL and not name.startswith("effective_samples")
+)
+"""Columns of `runs` by which estimators can be compared: less is better, or there is a target."""
 
 ARROW = {TEXT: pa.string(), WHOLE: pa.int64(), REAL: pa.float64()}
 

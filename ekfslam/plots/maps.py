@@ -13,7 +13,15 @@ from numpy.typing import ArrayLike
 
 from ekfslam import geometry as geo
 from ekfslam.geometry import Array
-from ekfslam.plots.rows import Series, check_one_run, final_series, numbers, series_of, typical
+from ekfslam.plots.rows import (
+    Series,
+    check_one_run,
+    final_series,
+    isolated,
+    numbers,
+    series_of,
+    typical,
+)
 from ekfslam.plots.style import PAGE, TRUTH, drawing, legend_columns
 
 SIGMAS = 3.0
@@ -37,9 +45,9 @@ def plot_map(
 
     Each estimator is shown with the series that knows most, smoothed before online, and with the
     paths of all robots. The ellipses (98.9 % of a 2-D Gaussian) are those of the landmarks and of
-    the last pose of each robot. The frame holds the
-    truth, or without one what most estimators agree on, and every path that is not much larger;
-    the legend says which paths leave it.
+    the last pose of each robot. A path breaks where it is not known, and a position that is known
+    by itself is a dot. The frame holds the truth, or without one what most estimators agree on, and
+    every path that is not much larger; the legend says which paths leave it.
 
     Parameters
     ----------
@@ -62,7 +70,7 @@ def plot_map(
     contents = [content for content in contents if content.paths]
     true_paths = _true_paths(trajectories)
     true_map = _true_map(landmarks) if known is None else np.asarray(known, float).reshape(-1, 2)
-    truth = np.concatenate([*true_paths, true_map])
+    truth = _finite(np.concatenate([*true_paths, true_map]))
     low, high = _frame(truth, contents)
     columns = legend_columns([content.series.label for content in contents], most=3)
     rows = -(-(len(contents) + 4) // columns)  # the truth, its landmarks, start and end
@@ -87,9 +95,9 @@ def _finite(rows: Array) -> Array:
 
 
 def _paths(series: Series, *columns: str) -> list[Array]:
-    """The path of each robot, of those that have one."""
-    paths = [_finite(numbers(rows, *columns)) for rows in series.robots]
-    return [path for path in paths if len(path)]
+    """The path of each robot, of those that have one; NaN where it is not known."""
+    paths = [numbers(rows, *columns) for rows in series.robots]
+    return [path for path in paths if np.isfinite(path).all(axis=1).any()]
 
 
 def _true_paths(trajectories: pd.DataFrame) -> list[Array]:
@@ -130,7 +138,7 @@ def _is_covariance(matrices: Array) -> np.ndarray:
 
 def _frame(truth: Array, contents: list[_Content]) -> tuple[Array, Array]:
     """Corners of the view: the truth and the estimates that are not much larger, with a margin."""
-    boxes = [np.concatenate([truth, *content.paths, content.landmarks]) for content in contents]
+    boxes = [_finite(np.concatenate([truth, *c.paths, c.landmarks])) for c in contents]
     # Where no truth says how large the world is, those do who have mapped it: dead reckoning has
     # nothing to hold on to.
     mappers = [b for b, c in zip(boxes, contents, strict=True) if len(c.landmarks)] or boxes
@@ -184,8 +192,12 @@ def _draw(axes: Axes, content: _Content, frame: tuple[Array, Array]) -> None:
 
 def _draw_paths(axes: Axes, paths: list[Array], label: str, **appearance: Any) -> None:
     """The paths of all robots under one name in the legend."""
+    dots = appearance | {"linestyle": "none", "marker": ".", "markersize": 2}
     for index, path in enumerate(paths):
         axes.plot(*path.T, label="" if index else label, **appearance)
+        alone = isolated(path)
+        if alone.any():
+            axes.plot(*path[alone].T, **dots)
 
 
 def _draw_truth(axes: Axes, paths: list[Array], landmarks: Array) -> None:
@@ -204,7 +216,10 @@ def _draw_truth(axes: Axes, paths: list[Array], landmarks: Array) -> None:
 
 
 def _draw_ends(axes: Axes, paths: list[tuple[Array, str]]) -> None:
-    """Mark where each path starts, for one robot the same place but for smoothing, and ends."""
+    """Mark where each path starts, for one robot the same place but for smoothing, and ends.
+
+    Nothing marks the ends of what is known in between alone.
+    """
     edge: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 0.5, "zorder": 6}
     starts = np.array([path[0] for path, _ in paths]).reshape(-1, 2)
     axes.plot(*starts.T, ">", color=TRUTH, markersize=5, label="start", **edge)

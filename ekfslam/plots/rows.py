@@ -123,6 +123,23 @@ def numbers(rows: pd.DataFrame, *columns: str) -> Array:
     return values[:, 0] if len(columns) == 1 else values
 
 
+def isolated(values: Array) -> np.ndarray:
+    """Which of a row of values are known beside others that are not: a line does not show them.
+
+    Parameters
+    ----------
+    values : (n,) or (n, columns) ndarray
+        NaN where not known; a row of several columns is known if all of it is.
+
+    Returns
+    -------
+    (n,) ndarray of bool
+    """
+    known = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+    beside = np.concatenate([[False], known, [False]])
+    return known & ~beside[:-2] & ~beside[2:]
+
+
 def root(variance: Array) -> Array:
     """Standard deviations; NaN where a variance is negative."""
     return np.sqrt(np.where(variance >= 0.0, variance, np.nan))

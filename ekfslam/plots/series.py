@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,7 @@ from ekfslam.geometry import Array
 from ekfslam.plots.rows import (
     Series,
     check_one_run,
+    isolated,
     numbers,
     of_robot,
     root,
@@ -33,12 +35,25 @@ _ROWS = ("x error [m]", "y error [m]", "heading error [deg]")
 _INTERVAL = "95 % interval"
 
 
+class _Nees(NamedTuple):
+    """A column of NEES, of what it is, and its degrees of freedom."""
+
+    column: str
+    what: str
+    dof: int
+
+
+_NEES = (_Nees("nees", "pose", 3), _Nees("nees_position", "position", 2))
+
+
 def plot_errors(trajectories: pd.DataFrame, robot: str | None = None) -> Figure:
     """Errors of x, y and heading against time within the estimator's own 3-sigma band.
 
     A column per estimator and series; a row has one scale, and a series that would squash the
-    others is cut off and says so. Without a truth there is no error: then the standard deviations
-    of position (root of the trace) and heading that the estimators claim are shown.
+    others is cut off and says so. Lines break where the truth is not known, and where no true
+    heading is known the band of the heading stands alone. Without any truth there is no error: then
+    the standard deviations of position (root of the trace) and heading that the estimators claim
+    are shown.
 
     Parameters
     ----------
@@ -66,12 +81,16 @@ def plot_errors(trajectories: pd.DataFrame, robot: str | None = None) -> Figure:
     return _errors(curves, title) if curves else _deviations(trajectories, title)
 
 
-def plot_consistency(trajectories: pd.DataFrame, robot: str | None = None) -> Figure:
+def plot_consistency(
+    trajectories: pd.DataFrame, robot: str | None = None, notes: Iterable[str] = ()
+) -> Figure:
     """NEES of the pose and NIS per degree of freedom against their 95 % intervals.
 
     The two-sided intervals are those of one sample: chi-square with 3 degrees of freedom for the
     NEES of a pose, and that of each step's own degrees of freedom for its NIS (Bar-Shalom et al.
-    2001). Without a truth there is no NEES. The NIS of several robots is theirs together.
+    2001). Where no true heading is known it is the NEES of the position, with 2 degrees of freedom.
+    Without a truth there is no NEES. The NIS of several robots is theirs together. Of particle
+    filters the effective sample size is shown, too.
 
     Parameters
     ----------
@@ -79,6 +98,8 @@ def plot_consistency(trajectories: pd.DataFrame, robot: str | None = None) -> Fi
         Rows of one dataset and seed.
     robot : str, optional
         Whose poses, where there are several robots; the first one by default.
+    notes : iterable of str
+        Notes of the dataset; those that speak of NEES are shown where NEES is.
 
     Returns
     -------
@@ -95,20 +116,25 @@ def plot_consistency(trajectories: pd.DataFrame, robot: str | None = None) -> Fi
     trajectories, whose = of_robot(trajectories, robot)
     title += whose
     everything = list(series_of(trajectories))
-    judged = [s for s in everything if np.isfinite(numbers(s.rows, "nees")).any()]
+    kind = next((kind for kind in _NEES if any(_has(kind.column, s) for s in everything)), _NEES[0])
+    judged = [series for series in everything if _has(kind.column, series)]
     names = list(dict.fromkeys(series.name for series in judged))
     filters = [s for s in everything if np.isfinite(_nis_per_dof(s)[1]).any()]
-    panels = len(names) + len(filters)
+    particles = [series for series in everything if _has("effective_samples", series)]
+    panels = len(names) + len(filters) + bool(particles)
     if not panels:
         return _nothing(title, "no NEES and no NIS to show")
     with drawing(PAGE, 0.8 + 1.5 * panels) as figure:
         axes = figure.subplots(panels, sharex=True, squeeze=False)[:, 0]
         for panel, name in zip(axes, names, strict=False):
-            _draw_nees(panel, name, [series for series in judged if series.name == name])
-        for panel, series in zip(axes[len(names) :], filters, strict=True):
+            _draw_nees(panel, kind, name, [series for series in judged if series.name == name])
+        for panel, series in zip(axes[len(names) :], filters, strict=False):
             _draw_nis(panel, series)
+        if particles:
+            _draw_samples(axes[-1], particles)
         axes[-1].set_xlabel("time [s]")
-        _finish(figure, f"{title}\n{_ONE_SAMPLE}" if names else title, axes)
+        said = [_ONE_SAMPLE, *(note for note in notes if "NEES" in note)] if names else []
+        _finish(figure, "\n".join([title, *(textwrap.fill(words, 105) for words in said)]), axes)
     return figure
 
 
@@ -190,7 +216,9 @@ def _errors(curves: list[_Curve], title: str) -> Figure:
             for row, panel in enumerate(column):
                 _draw_error(panel, curve, row, limits[row])
                 if reach[row] > limits[row]:
-                    _say_cut(panel)
+                    _say(panel, "leaves the frame")
+                if not np.isfinite(curve.error[:, row]).any():
+                    _say(panel, "no true heading")
             column[-1].set_xlabel("time [s]")
         for panel, name, limit in zip(axes[:, 0], _ROWS, limits, strict=True):
             panel.set(ylabel=name, ylim=(-limit, limit))
@@ -211,15 +239,15 @@ def _draw_error(panel: Axes, curve: _Curve, row: int, limit: float) -> None:
     band = np.clip(SIGMAS * curve.sigma[:, row], 0.0, 9 * limit)
     panel.fill_between(curve.time, -band, band, color=color, alpha=0.25, linewidth=0.0)
     panel.axhline(0.0, color=QUIET, linewidth=0.5)
-    panel.plot(curve.time, error, color=color, linewidth=0.8)
+    _draw_line(panel, curve.time, error, color=color)
 
 
-def _say_cut(panel: Axes) -> None:
+def _say(panel: Axes, words: str) -> None:
     box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
     panel.text(
         0.5,
         0.96,
-        "leaves the frame",
+        words,
         transform=panel.transAxes,
         ha="center",
         va="top",
@@ -271,13 +299,17 @@ def _nis_per_dof(series: Series) -> tuple[Array, Array, Array]:
     return time[counts], nis[counts] / dof[counts], dof[counts]
 
 
-def _draw_nees(panel: Axes, name: str, shown: Iterable[Series]) -> None:
-    curves = [(series, numbers(series.rows, "nees")) for series in shown]
+def _has(column: str, series: Series) -> bool:
+    return bool(np.isfinite(numbers(series.rows, column)).any())
+
+
+def _draw_nees(panel: Axes, kind: _Nees, name: str, shown: Iterable[Series]) -> None:
+    curves = [(series, numbers(series.rows, kind.column)) for series in shown]
     _draw_lines(panel, curves)
-    low, high = chi2_interval(3, PROBABILITY)
+    low, high = chi2_interval(kind.dof, PROBABILITY)
     for bound in (low, high):
         panel.axhline(float(bound), color=TRUTH, linewidth=0.8, label=_INTERVAL, zorder=4)
-    panel.set(title=f"NEES of the pose, {name}", ylabel="NEES")
+    panel.set(title=f"NEES of the {kind.what}, {name}", ylabel="NEES")
     _scale(panel, np.concatenate([values for _, values in curves]), float(low), float(high))
 
 
@@ -295,6 +327,12 @@ def _draw_nis(panel: Axes, series: Series) -> None:
         )
     panel.set(title=f"NIS per degree of freedom, {series.label}", ylabel="NIS / dof")
     _scale(panel, nis, float((low / dof).min()), float((high / dof).max()))
+
+
+def _draw_samples(panel: Axes, shown: Iterable[Series]) -> None:
+    _draw_lines(panel, [(series, numbers(series.rows, "effective_samples")) for series in shown])
+    panel.set(title="effective sample size", ylabel="particles")
+    panel.set_ylim(bottom=0.0)
 
 
 def _scale(panel: Axes, values: Array, low: float, high: float) -> None:
@@ -316,9 +354,16 @@ def _draw_lines(panel: Axes, curves: Iterable[tuple[Series, Array]]) -> None:
     for series, values in curves:
         color, _, linestyle = series.look
         time = numbers(series.rows, "time_s")
-        panel.plot(
-            time, values, color=color, linestyle=linestyle, label=series.estimator, linewidth=0.8
-        )
+        _draw_line(panel, time, values, color=color, linestyle=linestyle, label=series.estimator)
+
+
+def _draw_line(panel: Axes, time: Array, values: Array, **look: Any) -> None:
+    """A line that breaks where values are missing, with dots where it would not be seen."""
+    panel.plot(time, values, linewidth=0.8, **look)
+    alone = isolated(values)
+    if alone.any():
+        dots = {"linestyle": "none", "marker": ".", "markersize": 2, "color": look["color"]}
+        panel.plot(time[alone], values[alone], **dots)
 
 
 def _times(series: Series) -> Array:
