@@ -163,7 +163,8 @@ def compare(
             match_radius=match_radius,
             withhold_ids=withhold_ids,
         )
-    print_summary(comparison.summary)
+    notes = {name: dataset.notes for name, dataset in comparison.datasets.items()}
+    print_summary(comparison.summary, notes)
     if out is not None:
         files = comparison.save(out, figures=figures)
         print(f"{len(files)} files in {out}: {', '.join(path.name for path in files)}")

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from html import escape
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -98,7 +99,9 @@ class Comparison:
         """
         from ekfslam.plots import plot_consistency
 
-        return plot_consistency(self._of(self.trajectories, self._name(dataset)), robot)
+        name = self._name(dataset)
+        notes = self.datasets[name].notes
+        return plot_consistency(self._of(self.trajectories, name), robot, notes)
 
     def plot_times(self, dataset: str | None = None) -> Figure:
         """Time per step."""
@@ -160,7 +163,9 @@ class Comparison:
         return table[table["dataset"] == dataset]
 
     def _repr_html_(self) -> str:
-        return self.summary.to_html(index=False, na_rep="")
+        notes = [f"{name}: {note}" for name, each in self.datasets.items() for note in each.notes]
+        told = "".join(f"<p>{escape(note)}</p>\n" for note in notes)
+        return f"{self.summary.to_html(index=False, na_rep='')}\n{told}"
 
 
 def compare(
@@ -352,6 +357,7 @@ def _described(dataset: Dataset) -> dict[str, Any]:
     """Where a dataset comes from, and the models and noise that it states."""
     return {
         "provenance": dataset.provenance,
+        "notes": list(dataset.notes),
         "seed": dataset.seed,
         "motion": [robot.motion.to_dict() for robot in dataset.robots],
         "sensors": [  # JSON has no infinity: a range without limit is left out
