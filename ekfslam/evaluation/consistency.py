@@ -229,7 +229,7 @@ def validate(dataset: Dataset, estimate: Estimate) -> None:
     k, m, r = dataset.poses, len(dataset.observations), len(dataset.robots)
     steps = (k,) if r == 1 else (r, k)
     shapes: dict[str, tuple[np.ndarray | None, tuple[int, ...]]] = {
-        name: (getattr(estimate, name, None), (k,))
+        name: (getattr(estimate, name), (k,))
         for name in ("step_nis", "step_dof", "step_seconds", "effective_samples")
     }
     for name, series in estimate.series.items():

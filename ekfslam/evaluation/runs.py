@@ -133,11 +133,6 @@ def last_of(which: np.ndarray) -> int:
     return int(found[-1]) if len(found) else len(which) - 1
 
 
-def effective_samples(estimate: Estimate) -> Array | None:
-    """Effective sample size of a particle filter at each pose, (K + 1,); None of others."""
-    return getattr(estimate, "effective_samples", None)
-
-
 def nan_unless_finite(rows: Array) -> Array:
     """Rows (n, d) with those that are not finite made NaN throughout."""
     return np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, np.nan)

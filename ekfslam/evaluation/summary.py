@@ -16,15 +16,7 @@ from ekfslam.evaluation.association import (
 )
 from ekfslam.evaluation.consistency import gaps, validate
 from ekfslam.evaluation.landmarks import MATCH_RADIUS, match_landmarks, true_positions
-from ekfslam.evaluation.runs import (
-    Run,
-    aligned_map,
-    effective_samples,
-    landmark_nees,
-    quiet,
-    row_keys,
-    runs,
-)
+from ekfslam.evaluation.runs import Run, aligned_map, landmark_nees, quiet, row_keys, runs
 from ekfslam.evaluation.schema import concat, filled
 from ekfslam.evaluation.statistics import largest, mean, rmse, share_inside
 from ekfslam.evaluation.trajectory import absolute_errors, relative_errors
@@ -211,7 +203,7 @@ def _online_scalars(estimate: Estimate) -> dict[str, float]:
 
 def _sample_scalars(estimate: Estimate) -> dict[str, float]:
     """How many particles carried the weight."""
-    samples = effective_samples(estimate)
+    samples = estimate.effective_samples
     if samples is None:
         return {}
     known = samples[np.isfinite(samples)]

@@ -17,14 +17,7 @@ from ekfslam.estimates import Decision, Estimate
 from ekfslam.evaluation.association import association_scores
 from ekfslam.evaluation.consistency import squared_mahalanobis, validate
 from ekfslam.evaluation.landmarks import MATCH_RADIUS, match_landmarks, true_positions
-from ekfslam.evaluation.runs import (
-    aligned_map,
-    effective_samples,
-    landmark_nees,
-    quiet,
-    row_keys,
-    runs,
-)
+from ekfslam.evaluation.runs import aligned_map, landmark_nees, quiet, row_keys, runs
 from ekfslam.evaluation.schema import SCHEMAS, concat, filled, read_csv
 from ekfslam.evaluation.summary import summary_rows, summary_scalars
 from ekfslam.evaluation.trajectory import frame_motion
@@ -97,7 +90,7 @@ def trajectory_columns(
         columns |= _triangle("cov_xx cov_xy cov_xt cov_yy cov_yt cov_tt", run.series.covariances)
         if run.name == "online":
             columns |= {"nis": estimate.step_nis, "nis_dof": estimate.step_dof}
-            columns["effective_samples"] = effective_samples(estimate)
+            columns["effective_samples"] = estimate.effective_samples
         parts.append(row_keys(dataset, estimate, run.robot) | columns)
     return parts
 
