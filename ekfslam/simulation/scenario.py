@@ -271,6 +271,7 @@ class Scenario:
         plans = self.robot_plans
         lengths = " and ".join(dict.fromkeys(f"{plan.length:.0f}" for plan in plans))
         guided = any(plan.motion.control_names for plan in plans)
+        mixed = any(plan.motion.mixture is not None for plan in plans)
         motions = [p.motion.kind if p.motion.control_names else "unguided" for p in plans]
         facts = [
             f"{len(self.landmarks)} landmarks",
@@ -278,7 +279,7 @@ class Scenario:
             f"{len(self.controls)} steps" + (f" over {lengths} m" if guided else ""),
             " and ".join(dict.fromkeys(motions)) + " motion",
             " and ".join(map(_in_words, self.sensor_plans)) or "no sensor",
-            f"noise on the {self.noise_on}",
+            f"noise on the {self.noise_on}" + (", a mixture" if mixed else ""),
             f"clutter {self.clutter:g} per look" if self.clutter else "",
             f"wrong identities {self.wrong_ids:.3g}" if self.wrong_ids else "",
             "descriptors" if self.descriptors is not None else "",
