@@ -80,11 +80,11 @@ def load(source: str | Path, path: str | Path | None = None, **options: Any) -> 
     UnknownNameError, FileFormatError, InputError
         For what cannot be found or read, or an option that there is not.
     """
-    from ekfslam.datasets import RECORDED, load_recorded
+    from ekfslam.datasets import is_recorded, load_recorded
     from ekfslam.errors import InputError
     from ekfslam.experiments.sources import open_dataset
 
-    if str(source) in RECORDED:
+    if is_recorded(str(source)):
         return load_recorded(str(source), path, **options)
     if options:
         raise InputError(

@@ -151,8 +151,8 @@ def test_a_covariance_of_the_file_that_cannot_be_used_is_named(small, line):
 
 
 def test_a_file_that_is_none(small, tmp_path):
-    for path, said in ((small(""), "holds no odometry"), (tmp_path / "none", "cannot be read"),
-                       (tmp_path, "cannot be read")):  # fmt: skip
+    for path, said in ((small(""), "holds no odometry"), (tmp_path / "none", "no file or folder"),
+                       (tmp_path, "has no victoria_park.txt")):  # fmt: skip
         with pytest.raises(FileFormatError, match=said) as error:
             victoria_park.load(path)
         assert str(path) in str(error.value)

@@ -317,13 +317,40 @@ def simulate(
 
 
 @app.command()
-def datasets() -> None:
-    """What there is to run on."""
-    from ekfslam.datasets import RECORDED
-    from ekfslam.simulation import load_scenario, scenarios
+def datasets(
+    name: Annotated[
+        str | None,
+        typer.Argument(help="Of a recorded set: tell all about it.", show_default=False),
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Where the files of recorded sets lie.", show_default=False),
+    ] = None,
+) -> None:
+    """What there is to run on, and for recorded sets whether their files are here.
 
-    rows = [(name, load_scenario(name).describe()) for name in scenarios()]
-    rows += [(name, recorded.description) for name, recorded in RECORDED.items()]
+    Files are looked for in the folder of --data or of the environment variable EKFSLAM_DATA.
+
+    [bold]Examples[/bold]
+
+      ekfslam datasets
+
+      ekfslam datasets mrclam1 --data recorded
+    """
+    from ekfslam.datasets import RECORDED
+    from ekfslam.errors import UnknownNameError
+    from ekfslam.simulation import describe_scenario, scenarios
+
+    if name is not None:
+        whole = name.partition("/")[0]
+        if whole not in RECORDED:
+            raise UnknownNameError("recorded dataset", whole, RECORDED)
+        print_list(RECORDED[whole].told(whole, data))
+        return
+    rows = [(each, describe_scenario(each)) for each in scenarios()]
+    for each, recorded in RECORDED.items():
+        missing = "" if recorded.is_here(each, data) else " [not here: ekfslam datasets NAME]"
+        rows.append((each, f"{recorded.description}{missing}"))
     print_list(rows)
 
 

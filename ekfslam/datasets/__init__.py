@@ -2,42 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ekfslam.dataset import Dataset
+from ekfslam.datasets.catalogue import RECORDED, Recorded
 from ekfslam.errors import InputError, UnknownNameError
 
-
-class Recorded(NamedTuple):
-    """A recorded set: what it is, and the function that loads it."""
-
-    description: str
-    module: str
-    loader: str = "load"
+__all__ = ["RECORDED", "Recorded", "is_recorded", "load_recorded"]
 
 
-RECORDED: Mapping[str, Recorded] = {
-    "victoria-park": Recorded(
-        "recorded: a car among the trees of a park in Sydney; 6969 poses, 151 landmarks, "
-        "association given, no truth (Guivant and Nebot 2001)",
-        "ekfslam.datasets.victoria_park",
-    ),
-    "plaza1": Recorded(
-        "recorded: a mower and ranges to four radio beacons; 9658 poses, 3527 ranges, truth and "
-        "association given (Djugash, Hamner and Roth 2009)",
-        "ekfslam.datasets.plaza",
-        "plaza1",
-    ),
-    "plaza2": Recorded(
-        "recorded: as plaza1, faster; 4091 poses, 1816 ranges",
-        "ekfslam.datasets.plaza",
-        "plaza2",
-    ),
-}
+def is_recorded(name: str) -> bool:
+    """Whether a name, with or without a part after a slash, is that of a recorded set."""
+    return name.partition("/")[0] in RECORDED
 
 
 def load_recorded(name: str, path: str | Path | None = None, /, **options: Any) -> Dataset:
@@ -46,9 +26,10 @@ def load_recorded(name: str, path: str | Path | None = None, /, **options: Any) 
     Parameters
     ----------
     name : str
-        A key of `RECORDED`.
+        A key of `RECORDED`; a part of the set may follow, as in ``mrclam1/robot3``.
     path : path, optional
-        Its file or folder, where it does not come with a package.
+        Its file or folder, or a folder that holds the folders of several sets; by default that
+        of the environment variable EKFSLAM_DATA, or what comes with a package.
     **options
         Of its loader, such as another noise.
 
@@ -57,16 +38,21 @@ def load_recorded(name: str, path: str | Path | None = None, /, **options: Any) 
     InputError
         For an option that the loader does not have.
     UnknownNameError
-        For an unknown name.
+        For an unknown name or part.
     FileFormatError
         For a file that is missing or malformed.
     """
-    if name not in RECORDED:
-        raise UnknownNameError("dataset", name, RECORDED)
-    recorded = RECORDED[name]
+    whole, slash, part = name.partition("/")
+    if whole not in RECORDED:
+        raise UnknownNameError("dataset", whole, RECORDED)
+    recorded = RECORDED[whole]
+    if slash and part not in recorded.parts:
+        raise UnknownNameError(f"part of {whole}", part, recorded.parts)
+    arguments = (recorded.number,) * bool(recorded.number) + (path,)
+    named = {"part": part} if slash else {}
     loader: Callable[..., Dataset] = getattr(import_module(recorded.module), recorded.loader)
     try:
-        signature(loader).bind(path, **options)
+        signature(loader).bind(*arguments, **named, **options)
     except TypeError as error:
         raise InputError(f"{name}: {error}") from None
-    return loader(path, **options)
+    return loader(*arguments, **named, **options)

@@ -30,7 +30,6 @@ to the right of the heading, by 0.018 rad and 0.01 rad.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,7 +39,7 @@ from scipy.io import loadmat
 from ekfslam import geometry as geo
 from ekfslam.checks import checked_number
 from ekfslam.dataset import Dataset
-from ekfslam.datasets.wheel import in_wheel
+from ekfslam.datasets.catalogue import files_of
 from ekfslam.errors import FileFormatError, InputError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import MotionModel
@@ -116,9 +115,7 @@ def load(
         raise InputError(f"gyro_bias must be finite, got {gyro_bias}")
     along, across, turn = _sigmas(odometry_sigmas, "odometry_sigmas")
     name = f"plaza{number}"
-    path = in_wheel(f"Plaza{number}_.mat", name) if path is None else Path(path)
-    if path.is_dir():
-        path = path / f"Plaza{number}_.mat"
+    path = files_of(name, path)[f"Plaza{number}_.mat"]
     arrays = _read(path)
     times = arrays["GT"][:, 0]
     truth = arrays["GT"][:, 1:] + [0, 0, measured.heading]
@@ -146,9 +143,6 @@ def load(
         provenance=f"{path.name} of the gtsam package; J. Djugash, B. Hamner and S. Roth, "
         "Journal of Field Robotics 26(9), 2009",
     )
-
-
-plaza1, plaza2 = partial(load, 1), partial(load, 2)
 
 
 def _sigmas(values: Sequence[float], name: str) -> Array:

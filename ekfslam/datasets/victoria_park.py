@@ -26,7 +26,7 @@ import numpy as np
 
 from ekfslam.checks import checked_array, is_covariance
 from ekfslam.dataset import Dataset, Observations, Prior, Robot
-from ekfslam.datasets.wheel import in_wheel
+from ekfslam.datasets.catalogue import files_of
 from ekfslam.errors import FileFormatError, InputError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import MotionModel
@@ -71,7 +71,7 @@ def load(
     """
     if noise not in ("default", "file"):
         raise InputError(f"noise must be 'default' or 'file', got {noise!r}")
-    path = in_wheel("victoria_park.txt", "victoria-park") if path is None else Path(path)
+    path = files_of("victoria-park", path)["victoria_park.txt"]
     odometry, sightings = _read(path)
     step = _steps(path, odometry, sightings)
     values, covariance = sightings.values, None

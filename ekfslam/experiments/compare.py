@@ -16,6 +16,7 @@ import pandas as pd
 
 from ekfslam.checks import checked_number
 from ekfslam.dataset import Dataset
+from ekfslam.datasets import RECORDED, is_recorded
 from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import judged, tables
@@ -221,7 +222,11 @@ def compare(
         if not 0 < checked_number(length, name) < np.inf:
             raise InputError(f"{name} must be a positive length [m], got {length}")
     subjects = named(_listed(estimators))
-    sources = [open_dataset(source, seed, path) for source in _listed(datasets)]
+    listed = _listed(datasets)
+    recorded = [str(each).partition("(")[0] for each in listed if not isinstance(each, Dataset)]
+    if path is not None and not any(map(is_recorded, recorded)):
+        raise InputError("a path is for recorded datasets, and there is none among these")
+    sources = [_opened(source, seed, path) for source in listed]
     if withhold_ids:
         sources = [source.without_identities() for source in sources]
     opened = {dataset.name: dataset for dataset in sources}
@@ -255,6 +260,13 @@ def compare(
     }
     stacked = {name: tables.concat(name, rows) for name, rows in parts.items()}
     return Comparison(**stacked, datasets=opened, estimates=estimates, config=config)
+
+
+def _opened(source: Any, seed: int, path: str | Path | None) -> Dataset:
+    """A dataset; the path is for those that are recorded and do not come with a package."""
+    name = str(source).partition("(")[0].partition("/")[0].strip()
+    its_own = name in RECORDED and (RECORDED[name].published or RECORDED[name].is_here(name, path))
+    return open_dataset(source, seed, path if its_own else None)
 
 
 def _listed(value: Any) -> list[Any]:

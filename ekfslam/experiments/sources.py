@@ -6,7 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from ekfslam.dataset import Dataset
-from ekfslam.datasets import RECORDED, load_recorded
+from ekfslam.datasets import RECORDED, is_recorded, load_recorded
+from ekfslam.datasets.graph_files import SUFFIXES as GRAPHS
+from ekfslam.datasets.graph_files import load as load_graph
 from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.registry import parse
 from ekfslam.simulation import scenarios, simulate
@@ -20,9 +22,10 @@ def open_dataset(
     Parameters
     ----------
     source : str, path or Dataset
-        A scenario or its TOML file (simulated with `seed`), a recorded set, or a file written by
-        `Dataset.save` (``.npz``). Options of its loader may follow the name of a recorded set, as
-        in ``victoria-park(noise=file)``, and become part of the dataset's name.
+        A scenario or its TOML file (simulated with `seed`), a recorded set, a file written by
+        `Dataset.save` (``.npz``), or a graph file (``.g2o``, ``.graph``, ``.pyfg``). Options of
+        its loader may follow the name of a recorded set, as in ``victoria-park(noise=file)``, and
+        become part of the dataset's name.
     seed : int
         Of a simulation.
     path : path, optional
@@ -38,7 +41,7 @@ def open_dataset(
     if isinstance(source, Dataset):
         return source
     name = str(source)
-    if name.partition("(")[0].strip() in RECORDED:
+    if is_recorded(name.partition("(")[0].strip()):
         call = parse(name)
         dataset = load_recorded(call.name, path, **call.options)
         return replace(dataset, name=str(call)) if call.options else dataset
@@ -46,8 +49,13 @@ def open_dataset(
         raise InputError(f"a path is for recorded datasets, not for {name}")
     if name.endswith(".npz"):
         return Dataset.load(name)
+    if name.endswith(GRAPHS):
+        return load_graph(name)
     if name in scenarios() or name.endswith(".toml"):
         return simulate(name, seed=seed)
     if name and Path(name).exists():
-        raise InputError(f"{name}: a dataset file ends in .npz, a scenario file in .toml")
+        raise InputError(
+            f"{name}: a dataset file ends in .npz, a scenario file in .toml, a graph file in "
+            f"{', '.join(GRAPHS)}"
+        )
     raise UnknownNameError("dataset", name, [*scenarios(), *RECORDED])

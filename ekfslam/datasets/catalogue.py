@@ -1,0 +1,190 @@
+"""The recorded sets: what each is, which module reads it, and where its files come from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from ekfslam.datasets.places import located
+from ekfslam.datasets.wheel import in_wheel
+from ekfslam.errors import FileFormatError
+
+
+class Recorded(NamedTuple):
+    """A recorded set.
+
+    Attributes
+    ----------
+    description : str
+        What it is, in a sentence.
+    module, loader : str
+        The function that reads it: ``loader(path, **options)``.
+    files : tuple of str
+        That it needs; each may be compressed (``.gz``).
+    folders : tuple of str
+        Names that their folder may have in a folder for all sets.
+    published : str
+        Where its authors publish it. Empty for what comes inside the gtsam wheel.
+    number : int
+        Which of several sets of one kind; 0 if there is only one.
+    parts : tuple of str
+        What may follow the name after a slash.
+    """
+
+    description: str
+    module: str
+    files: tuple[str, ...]
+    folders: tuple[str, ...] = ()
+    published: str = ""
+    loader: str = "load"
+    number: int = 0
+    parts: tuple[str, ...] = ()
+
+    def find(self, name: str, path: str | Path | None = None) -> dict[str, Path]:
+        """Its files by name.
+
+        Raises
+        ------
+        FileFormatError
+            If they are not there.
+        """
+        if self.published or path is not None:
+            return located(name, path, self.folders, self.files)
+        return {file: in_wheel(file, name) for file in self.files}
+
+    def is_here(self, name: str, path: str | Path | None = None) -> bool:
+        """Whether its files are there."""
+        try:
+            return all(each.is_file() for each in self.find(name, path).values())
+        except FileFormatError:
+            return False
+
+    def told(self, name: str, path: str | Path | None = None) -> list[tuple[str, str]]:
+        """All there is to say: what it is, whether it is here, what is expected and from where."""
+        try:
+            here = "yes, " + ", ".join(str(each) for each in self.find(name, path).values())
+        except FileFormatError as error:
+            here = f"no: {error}"
+        rows = [("what", self.description), ("here", here)]
+        if self.parts:
+            rows.append(("parts", ", ".join(f"{name}/{part}" for part in self.parts)))
+        rows.append(("files", ", ".join(self.files) + " (each may be compressed, .gz)"))
+        if self.folders:
+            rows.append(("folder", f"{' or '.join(self.folders)}, in the data folder, or itself"))
+        rows.append(("published", self.published or "inside the gtsam package"))
+        return rows
+
+
+def files_of(name: str, path: str | Path | None = None) -> dict[str, Path]:
+    """The files of a recorded set by name.
+
+    Raises
+    ------
+    FileFormatError
+        If they are not there; says what was looked for and where.
+    """
+    return RECORDED[name].find(name, path)
+
+
+def _mrclam(number: int) -> Recorded:
+    """One of nine sets: five robots among fifteen landmarks."""
+    return Recorded(
+        f"recorded, indoors: five robots see barcodes on 15 landmarks, and each other; the team, "
+        f"or one as in mrclam{number}/robot3; truth by motion capture (Leung and others 2011)",
+        "ekfslam.datasets.mrclam",
+        ("Barcodes.dat", "Landmark_Groundtruth.dat"),
+        (
+            f"mrclam/dataset{number}",
+            f"dataset{number}",
+            f"MRCLAM_Dataset{number}",
+            f"mrclam/MRCLAM_Dataset{number}",
+            f"MRCLAM{number}",
+        ),
+        "asrl.utias.utoronto.ca/datasets/mrclam: per robot Robot1_Odometry.dat, "
+        "Robot1_Measurement.dat and Robot1_Groundtruth.dat",
+        number=number,
+        parts=tuple(f"robot{robot}" for robot in range(1, 6)),
+    )
+
+
+RECORDED: Mapping[str, Recorded] = {
+    "victoria-park": Recorded(
+        "recorded: a car among the trees of a park in Sydney; 6969 poses, 151 landmarks, "
+        "association given, no truth (Guivant and Nebot 2001)",
+        "ekfslam.datasets.victoria_park",
+        ("victoria_park.txt",),
+    ),
+    "victoria-park-raw": Recorded(
+        "recorded: the same run as it came from the car: encoder, steering, trees found in laser "
+        "scans, no association; GPS with gaps as truth of the position (Guivant and Nebot 2001)",
+        "ekfslam.datasets.victoria_park_raw",
+        ("DRS.txt", "GPS.txt", "tree_observations.txt"),
+        ("victoria_park",),
+        "the Australian Centre for Field Robotics, University of Sydney; the text release of 2003",
+    ),
+    "plaza1": Recorded(
+        "recorded: a mower and ranges to four radio beacons; 9658 poses, 3527 ranges, truth and "
+        "association given (Djugash, Hamner and Roth 2009)",
+        "ekfslam.datasets.plaza",
+        ("Plaza1_.mat",),
+        ("plaza",),
+        number=1,
+    ),
+    "plaza2": Recorded(
+        "recorded: as plaza1, faster; 4091 poses, 1816 ranges",
+        "ekfslam.datasets.plaza",
+        ("Plaza2_.mat",),
+        ("plaza",),
+        number=2,
+    ),
+    **{f"mrclam{number}": _mrclam(number) for number in range(1, 10)},
+    "lego": Recorded(
+        "recorded: a small robot with a laser scanner among six known cylinders; no association, "
+        "truth of the position by a camera (Brenner, Leibniz University Hannover, 2012)",
+        "ekfslam.datasets.lego",
+        (
+            "robot4_motors.txt",
+            "robot4_scan.txt",
+            "robot4_reference.txt",
+            "robot_arena_landmarks.txt",
+        ),
+        ("brenner_lego", "lego"),
+        "the course SLAM lectures of Claus Brenner, ikg, Leibniz University Hannover, unit D",
+    ),
+    "car-park": Recorded(
+        "recorded: a car among 15 surveyed reflective poles; steering, laser, no association, "
+        "truth of the position by GPS (Nieto, Guivant and Nebot, University of Sydney)",
+        "ekfslam.datasets.car_park",
+        ("data_set.mat", "beac_juan3.mat"),
+        ("car_park",),
+        "the Australian Centre for Field Robotics, University of Sydney, for the SLAM summer "
+        "schools of 2002 to 2006",
+    ),
+    "dlr": Recorded(
+        "recorded: a robot in an office, a camera and 576 discs on the floor, associations made by "
+        "hand, no truth (Kurlbaum and Frese 2009)",
+        "ekfslam.datasets.dlr",
+        ("map.circles",),
+        ("dlr_spatial_cognition", "dlr"),
+        "openslam.org/slom: example/dlr/map.circles",
+    ),
+    "city-trees": Recorded(
+        "simulated by others: 10,000 poses in a grid of streets, 100 trees, known association, "
+        "noise-free truth; further draws as in city-trees/mc0 (distributed with iSAM, Kaess, "
+        "Ranganathan and Dellaert 2008)",
+        "ekfslam.datasets.city_trees",
+        ("cityTrees10000.txt", "cityTrees10000_groundtruth.txt"),
+        ("city_trees10000",),
+        "the iSAM distribution (Kaess), data/cityTrees10000.txt",
+        parts=tuple(f"mc{draw}" for draw in range(10)),
+    ),
+    "freiburg-course": Recorded(
+        "simulated by others: a small world with 9 landmarks, known association, their truth "
+        "(course Robot Mapping, University of Freiburg)",
+        "ekfslam.datasets.freiburg_course",
+        ("sensor_data.dat", "world.dat"),
+        ("freiburg_course",),
+        "the course Robot Mapping of C. Stachniss, University of Freiburg: EKF SLAM exercise",
+    ),
+}

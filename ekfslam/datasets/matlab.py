@@ -1,0 +1,71 @@
+"""Arrays of MATLAB files (version 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from scipy.io import loadmat
+
+from ekfslam.errors import FileFormatError
+from ekfslam.geometry import Array
+
+
+def read_arrays(
+    path: str | Path, shapes: Mapping[str, tuple[int | None, int | None]]
+) -> dict[str, Array]:
+    """Arrays of numbers of a file.
+
+    Parameters
+    ----------
+    path : path
+    shapes : mapping of str to (int or None, int or None)
+        Rows and columns of each array that is wanted; None for any number of them.
+
+    Returns
+    -------
+    dict of (n, c) ndarray
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be read, has no such array, or one of another kind or shape, or with a
+        value that is not finite; names file, array and row.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileFormatError(f"{path}: no such file")
+    try:
+        content = loadmat(str(path), appendmat=False, variable_names=list(shapes))
+    except Exception as error:  # scipy raises many kinds for what is no .mat file
+        said = " ".join(str(error).split())[:200]
+        raise FileFormatError(f"{path}: cannot be read ({said})") from None
+    arrays = {}
+    for name, shape in shapes.items():
+        if name not in content:
+            raise FileFormatError(f"{path}: has no array {name}")
+        array = np.asarray(content[name])
+        fits = array.ndim == 2 and all(
+            want is None or want == got for want, got in zip(shape, array.shape, strict=True)
+        )
+        if array.dtype.kind not in "iuf" or not fits:
+            wanted = " x ".join("n" if want is None else str(want) for want in shape)
+            raise FileFormatError(
+                f"{path}: {name} must be numbers, {wanted}, got {array.dtype} of shape "
+                f"{array.shape}"
+            )
+        arrays[name] = array.astype(float)
+        refuse(path, name, ~np.isfinite(arrays[name]).all(axis=1), "NaN or infinite value")
+    return arrays
+
+
+def refuse(path: str | Path, name: str, bad: np.ndarray, said: str) -> None:
+    """Name the first bad row of an array, from 1 on as MATLAB counts, if there is one.
+
+    Raises
+    ------
+    FileFormatError
+    """
+    for row in np.flatnonzero(bad)[:1]:
+        raise FileFormatError(f"{path}: {said} in row {row + 1} of {name}")
