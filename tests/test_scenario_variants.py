@@ -11,7 +11,14 @@ from ekfslam.errors import InputError
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.robots import LandmarkMap, Prior
-from ekfslam.simulation import Scenario, load_scenario, scenario_hash, scenarios, simulate
+from ekfslam.simulation import (
+    Scenario,
+    describe_scenario,
+    load_scenario,
+    scenario_hash,
+    scenarios,
+    simulate,
+)
 
 # Changes ---------------------------------------------------------------------------------------
 
@@ -110,8 +117,9 @@ def test_the_value_of_a_change_is_checked_like_the_files():
 
 
 def test_every_shipped_scenario_has_a_digest_of_its_own():
-    digests = {scenario_hash(load_scenario(name)) for name in scenarios()}
-    assert len(digests) == len(scenarios())
+    here = [name for name in scenarios() if "[not here" not in describe_scenario(name)]
+    digests = {scenario_hash(load_scenario(name)) for name in here}
+    assert len(digests) == len(here) >= 17
     assert all(len(digest) == 64 for digest in digests)
 
 

@@ -24,6 +24,7 @@ from ekfslam.simulation.paths import PATHS
 from ekfslam.simulation.plans import RobotPlan, SensorPlan
 from ekfslam.simulation.scenario import Scenario
 from ekfslam.simulation.variants import change
+from ekfslam.simulation.world_files import fill_in
 from ekfslam.simulation.worlds import WORLDS
 
 DEFAULT_SLIP = 1e-3  # [m] per step: two noisy controls alone make a singular covariance
@@ -31,8 +32,31 @@ _DEGREES = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*deg\s*"
 
 
 def scenarios() -> tuple[str, ...]:
-    """Names of the scenarios that come with the package, sorted."""
+    """Names of the scenarios that come with the package, sorted.
+
+    The worlds of some are files of others, which may not be here: see `describe_scenario`.
+    """
     return tuple(sorted(_shipped()))
+
+
+def describe_scenario(name: str) -> str:
+    """What a scenario that comes with the package is, in one line, or why it is not here.
+
+    Parameters
+    ----------
+    name : str
+        One of `scenarios`.
+
+    Raises
+    ------
+    UnknownNameError
+        For a name that no scenario carries.
+    """
+    try:
+        return load_scenario(name).describe()
+    except FileFormatError as error:  # of the world's file: the scenario's own is sound
+        text = _shipped()[name].read_text(encoding="utf-8")
+        return f"{tomllib.loads(text)['description']} [not here: {error}]"
 
 
 def load_scenario(
@@ -56,19 +80,22 @@ def load_scenario(
     UnknownNameError
         For a name that no scenario carries; lists close ones.
     FileFormatError
-        If the file is missing or no TOML; the message says the line.
+        If the file is missing or no TOML; the message says the line. Or if that of its world is
+        missing or damaged; the message says where to get it.
     InputError
         For unknown or missing keys, of the file or of `changes`, and values that make no sense;
         the message names the file, the table and the key.
     """
     shipped = _shipped()
     file: Path | Traversable
-    if str(scenario) in shipped:
-        file, where = shipped[str(scenario)], str(scenario)
+    folder, where = None, str(scenario)
+    if where in shipped:
+        file = shipped[where]
     elif Path(scenario).suffix == ".toml":
-        file, where = Path(scenario), str(scenario)
+        file = Path(scenario)
+        folder = file.parent
     else:
-        raise UnknownNameError("scenario", str(scenario), shipped)
+        raise UnknownNameError("scenario", where, shipped)
     try:
         document = tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -77,6 +104,7 @@ def load_scenario(
         reason = "no such file" if isinstance(error, FileNotFoundError) else error.strerror
         raise FileFormatError(f"{where}: {reason}") from None
     change(document, changes or {}, where)
+    fill_in(document, folder, where)
     return _build(Path(file.name).stem, document, where)
 
 

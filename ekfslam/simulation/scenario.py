@@ -48,6 +48,10 @@
     robots = ["one"]              # optional: who carries it, all by default
     mutual = true                 # optional: sees other robots, too
 
+Points that are not ours to copy are named by file: ``file = "maps/some.mat"`` instead of the
+``landmarks`` of a world of kind ``points``, or of the ``waypoints`` of a path of that kind; see
+`ekfslam.simulation.world_files`.
+
 Several robots have a table each instead of the tables path, motion and prior; they make the same
 number of steps at the same times::
 
