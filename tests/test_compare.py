@@ -23,13 +23,14 @@ FOUR = ("ekf", "gtsam-batch", "gtsam-isam2", "dead-reckoning")
 STEPS = 40
 
 SUMMARY = """
-    dataset seed robot estimator series association alignment status message steps observations
-    landmarks_true landmarks_estimated landmarks_undetermined landmarks_matched landmarks_missed
+    dataset seed robot estimator series association alignment status message steps truth_poses
+    observations landmarks_true landmarks_estimated landmarks_undetermined landmarks_matched landmarks_missed
     landmarks_spurious landmarks_duplicate landmarks_merged association_precision
     association_recall ate_position_rmse_m ate_position_max_m ate_heading_rmse_rad
     rpe_position_rmse_m rpe_heading_rmse_rad landmark_rmse_m landmark_max_m nees_pose_mean
-    nees_pose_final nees_pose_invariant_mean nees_pose_inside_95 nees_landmark_mean nis_per_dof
-    nis_inside_95 graph_error graph_chi2_per_dof gap_final_position_m gap_final_heading_rad
+    nees_pose_final nees_pose_invariant_mean nees_pose_inside_95 nees_position_mean
+    nees_position_inside_95 nees_landmark_mean nis_per_dof nis_inside_95 effective_samples_mean
+    effective_samples_min graph_error graph_chi2_per_dof gap_final_position_m gap_final_heading_rad
     gap_landmark_rmse_m sigma_ratio_position sigma_ratio_heading time_total_s time_marginals_s
     time_per_step_median_us time_per_step_p99_us
 """
