@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from ekfslam.association.gates import chi2_gate
+from ekfslam.association.gates import Gates, chi2_gate
 from ekfslam.checks import checked_number
 from ekfslam.compiled import prepare
 from ekfslam.dataset import Dataset, Sightings
@@ -70,7 +71,7 @@ class Fastslam1:
     seed: int = 0
     association: str | None = None
     resample_below: float = 0.5
-    new: float = 0.9999
+    new: float = Gates.new
     evidence: bool = True
     name = "fastslam1"
     informed = False  # no option: whether the proposal knows what is seen
@@ -120,31 +121,27 @@ class Fastslam1:
         self.warm_up(dataset)
         started = time.perf_counter()
         steps, (ids, sightings) = dataset.poses, _coded(dataset)
-        work = self._work(dataset, sightings, steps, len(ids) if known else 0)
-        motion, place, cloud, maps, paths, log, scratch, logdets = work
+        work = _work(dataset, sightings, self.particles, steps, len(ids) if known else None)
         settings, random = self._settings(known), _Random(self.seed)
-        _start(dataset, cloud, random)
-        rows = (dataset.offsets.copy(), sightings, logdets, place)
+        _start(dataset, work.cloud, random)
         block = max(1, BLOCK // (3 * self.particles))
         if progress is not None:
             block = min(block, max(1, steps // 100))
         k = 0
         while k < steps:
             stop = min(k + block, steps)
-            draws = random.draws(k, stop - k, self.particles, len(motion.cumulative))
-            while k < stop:
-                k = run(
-                    k, stop, motion, draws, *rows, cloud, maps, paths, settings, log, scratch
-                )  # fmt: skip
-                if k < stop:
-                    maps = maps.grown(2 * maps.room + scratch.choice.size)
+            draws = random.draws(k, stop - k, self.particles, len(work.motion.cumulative))
+            while (k := run(k, stop, draws, settings, *work)) < stop:
+                room = 2 * work.maps.room + len(work.scratch.choice)
+                work = work._replace(maps=work.maps.grown(room))
             if progress is not None:
                 progress(k, steps)
-        heaviest = int(np.argmax(cloud.weights))
+        cloud, maps, paths, log = work.cloud, work.maps, work.paths, work.log
         joint, names = None, sightings.landmark
         if known:
             landmarks, joint = mixture(cloud, maps, ids)
         else:
+            heaviest = int(np.argmax(cloud.weights))
             landmarks = map_of_one(maps, heaviest)
             line = particle_of_each_step(paths, int(cloud.nodes[heaviest]), steps)
             names = log.choice[np.arange(len(names)), line[dataset.observations.step]]
@@ -174,14 +171,12 @@ class Fastslam1:
         """Compile, or load from disk, what a dataset needs, so that no clock has to count it."""
         _, sightings = _coded(dataset)
         nothing = Sightings(*(column[:0].copy() for column in sightings))
-        work = self._work(dataset, nothing, 1, 1)
-        motion, place, cloud, maps, paths, log, scratch, logdets = work
-        draws = _Random(0).draws(0, 1, 1, len(motion.cumulative))
-        rows = dataset.offsets.copy(), nothing, logdets, place
-        settings = self._settings(True)
-        prepare(run, 0, 0, motion, draws, *rows, cloud, maps, paths, settings, log, scratch)
-        prepare(look_back, paths, cloud.nodes, cloud.weights, log.poses, log.covariances)
-        prepare(square_root, log.covariances[0], log.covariances[0])
+        work = _work(dataset, nothing, 1, 1, 1)
+        draws = _Random(0).draws(0, 1, 1, len(work.motion.cumulative))
+        prepare(run, 0, 0, draws, self._settings(True), *work)
+        means, covariances = work.log.poses, work.log.covariances
+        prepare(look_back, work.paths, work.cloud.nodes, work.cloud.weights, means, covariances)
+        prepare(square_root, covariances[0], covariances[0])
 
     def _known(self, dataset: Dataset) -> bool:
         """Whether identities are taken from the dataset."""
@@ -221,27 +216,6 @@ class Fastslam1:
             evidence=bool(self.evidence and not known),
         )
 
-    def _work(self, dataset: Dataset, sightings: Sightings, steps: int, landmarks: int) -> tuple:
-        """The arrays of a run: motion, place, cloud, maps, paths, log, scratch, log dets."""
-        n, rows = (self.particles, len(sightings.values)) if steps > 1 else (1, 0)
-        most = int(np.diff(dataset.offsets).max(initial=0))
-        weights, deltas, covariances = dataset.robot.components
-        first = np.zeros((len(weights), 1, 3)), np.zeros((len(weights), 1, 3, 3))
-        return (
-            Motion(
-                np.cumsum(weights),
-                np.concatenate([first[0], deltas], axis=1),
-                np.concatenate([first[1], covariances], axis=1),
-            ),
-            np.full(landmarks, -1, dtype=np.int64),
-            Cloud.of(np.zeros((n, 3))),
-            Maps.of(n, landmarks + most if landmarks else LANDMARKS),
-            Paths.of(n, steps),
-            Log.of(steps, rows, 0 if landmarks else n),
-            Scratch.of(n, most),
-            _logdets(sightings),
-        )
-
 
 @dataclass(frozen=True)
 class Fastslam2(Fastslam1):
@@ -272,6 +246,46 @@ class _Random:
             self.component.random((steps, several)),
             self.resampling.random(steps),
         )
+
+
+class _Work(NamedTuple):
+    """The arrays of a run, as `run` takes them."""
+
+    motion: Motion
+    offsets: np.ndarray
+    sightings: Sightings
+    logdets: Array
+    place: np.ndarray
+    cloud: Cloud
+    maps: Maps
+    paths: Paths
+    log: Log
+    scratch: Scratch
+
+
+def _work(
+    dataset: Dataset, sightings: Sightings, particles: int, steps: int, landmarks: int | None
+) -> _Work:
+    """What so many particles need for so many steps; landmarks None for identities not known."""
+    most = int(np.diff(dataset.offsets).max(initial=0))
+    weights, deltas, covariances = dataset.robot.components
+    still = np.zeros((len(weights), 1, 3))  # the first pose is there without a motion
+    return _Work(
+        Motion(
+            np.cumsum(weights),
+            np.concatenate([still, deltas], axis=1),
+            np.concatenate([np.zeros((len(weights), 1, 3, 3)), covariances], axis=1),
+        ),
+        dataset.offsets.copy(),
+        sightings,
+        _logdets(sightings),
+        np.full(landmarks or 0, -1, dtype=np.int64),
+        Cloud.of(np.zeros((particles, 3))),
+        Maps.of(particles, LANDMARKS if landmarks is None else landmarks + most),
+        Paths.of(particles, steps),
+        Log.of(steps, len(sightings.values), particles if landmarks is None else 0),
+        Scratch.of(particles, most),
+    )
 
 
 def _start(dataset: Dataset, cloud: Cloud, random: _Random) -> None:

@@ -62,7 +62,7 @@ class Maps(NamedTuple):
     ----------
     table : (N, W) ndarray of int
         Page of each particle's landmarks 8 w to 8 w + 7, `NONE` for none.
-    count : (N,) ndarray of int
+    used : (N,) ndarray of int
         Landmarks of each particle.
     gaussians : (N W, 8, 5) ndarray
         Mean and covariance (x, y, xx, xy, yy) of each landmark on each page.
@@ -79,7 +79,7 @@ class Maps(NamedTuple):
     """
 
     table: np.ndarray
-    count: np.ndarray
+    used: np.ndarray
     gaussians: Array
     names: np.ndarray
     evidence: np.ndarray
@@ -110,15 +110,15 @@ class Maps(NamedTuple):
 
     def grown(self, landmarks: int) -> Maps:
         """The same maps with room for more landmarks in each."""
-        larger = Maps.of(len(self.count), landmarks)
+        larger = Maps.of(len(self.used), landmarks)
         for old, new in zip(self[2:7], larger[2:7], strict=True):
             new[: len(old)] = old
         larger.table[:, : self.table.shape[1]] = self.table
-        return larger._replace(count=self.count, marks=self.marks)
+        return larger._replace(used=self.used, marks=self.marks)
 
     def landmarks(self, particle: int) -> tuple[Array, np.ndarray]:
         """Gaussians (n, 5) and names (n,) of the landmarks of one particle."""
-        index = np.arange(self.count[particle])
+        index = np.arange(self.used[particle])
         at = self.table[particle, index // PAGE], index % PAGE
         return self.gaussians[at], self.names[at]
 
@@ -204,30 +204,30 @@ def share_map(maps, source, target):  # type: ignore[no-untyped-def]
             if maps.owners[old] == 0:
                 give(maps.free, maps.marks, old)
         maps.table[target, entry] = page
-    maps.count[target] = maps.count[source]
+    maps.used[target] = maps.used[source]
 
 
 @compiled
 def add_landmark(maps, particle, name):  # type: ignore[no-untyped-def]
     """Room for one more landmark of a particle, seen once; its page and place on it."""
-    index = maps.count[particle]
+    index = maps.used[particle]
     page, place = own_page(maps, particle, index // PAGE), index % PAGE
     maps.names[page, place], maps.evidence[page, place] = name, 1
-    maps.count[particle] += 1
+    maps.used[particle] += 1
     return page, place
 
 
 @compiled
 def remove_landmark(maps, particle, index):  # type: ignore[no-untyped-def]
     """Forget a landmark of a particle; its last one takes the place."""
-    last = maps.count[particle] - 1
+    last = maps.used[particle] - 1
     page, place = own_page(maps, particle, index // PAGE), index % PAGE
     other, there = np.int64(maps.table[particle, last // PAGE]), last % PAGE
     maps.names[page, place] = maps.names[other, there]
     maps.evidence[page, place] = maps.evidence[other, there]
     for c in range(GAUSSIAN):
         maps.gaussians[page, place, c] = maps.gaussians[other, there, c]
-    maps.count[particle] = last
+    maps.used[particle] = last
 
 
 # Paths -------------------------------------------------------------------------------------------

@@ -88,7 +88,7 @@ def likeliest(sightings, first, last, maps, particle, pose, P, gate, logdets, ch
             m += 1
     if m == 0:
         return
-    kind, count = sightings.kind[first], maps.count[particle]
+    kind, count = sightings.kind[first], maps.used[particle]
     sensor = placed(sightings.mount[first], pose)
     gates = np.full(m, gate)
     claims, candidates, n = np.empty((m, count)), np.empty(count, np.int64), 0
@@ -151,7 +151,7 @@ def keep_evidence(sightings, first, maps, particle, pose, choice):  # type: igno
         return False
     x, y, c, s, _, _ = placed(sightings.mount[first], pose)
     heading, spent = math.atan2(s, c), False
-    for index in range(maps.count[particle]):
+    for index in range(maps.used[particle]):
         page, place = maps.table[particle, index // PAGE], index % PAGE
         g = maps.gaussians[page, place]
         dx, dy = g[0] - x, g[1] - y
@@ -171,6 +171,6 @@ def keep_evidence(sightings, first, maps, particle, pose, choice):  # type: igno
 @compiled
 def forget(maps, particle):  # type: ignore[no-untyped-def]
     """Landmarks without evidence go."""
-    for index in range(maps.count[particle] - 1, -1, -1):
+    for index in range(maps.used[particle] - 1, -1, -1):
         if maps.evidence[maps.table[particle, index // PAGE], index % PAGE] < 0:
             remove_landmark(maps, particle, index)

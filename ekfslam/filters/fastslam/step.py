@@ -191,7 +191,7 @@ class Scratch(NamedTuple):
 
 @compiled
 def run(  # type: ignore[no-untyped-def]
-    start, stop, motion, draws, offsets, sightings, logdets, place, cloud, maps, paths, settings,
+    start, stop, draws, settings, motion, offsets, sightings, logdets, place, cloud, maps, paths,
     log, scratch,
 ):  # fmt: skip
     """Steps from `start` to before `stop`; returns the step it came to.
@@ -206,14 +206,14 @@ def run(  # type: ignore[no-untyped-def]
         begin = now()
         first, last, at = offsets[k], offsets[k + 1], k - draws.first
         rows = last - first
-        if maps.count.max() + rows > maps.table.shape[1] * PAGE:
+        if maps.used.max() + rows > maps.table.shape[1] * PAGE:
             return k
         if k > 0 and log.effective[k - 1] < settings.least:
             resample(cloud, maps, paths, draws.resampling[at])
         for c in range(components):
             square_root(motion.covariances[c, k], roots[c])
         if settings.known:
-            by_identity(sightings, first, last, place, maps.count[0], scratch.choice)
+            by_identity(sightings, first, last, place, maps.used[0], scratch.choice)
         scratch.before[:, :rows] = -np.inf
         scratch.fused[:rows] = False
         for i in range(particles):
@@ -269,7 +269,7 @@ def propose(i, mean, P, base, last, sightings, logdets, cloud, maps, settings, s
     values, Rs, kinds, mounts = (
         sightings.values, sightings.covariance, sightings.kind, sightings.mount
     )  # fmt: skip
-    table, gaussians, count = maps.table, maps.gaussians, maps.count[i]
+    table, gaussians, count = maps.table, maps.gaussians, maps.used[i]
     choice, fused, weight = scratch.choice, scratch.fused, cloud.log_weights[i]
     before, nus, Ss = scratch.before[i], scratch.nu[i], scratch.S[i]
     first = base
@@ -362,7 +362,7 @@ def observe(  # type: ignore[no-untyped-def]
                 g[0], g[1] = spot[0], spot[1]
                 g[2], g[3], g[4] = noise[0, 0], noise[0, 1], noise[1, 1]
                 if not known:
-                    log.choice[row, i], choice[r] = name, maps.count[i] - 1
+                    log.choice[row, i], choice[r] = name, maps.used[i] - 1
             elif not known:
                 log.choice[row, i] = index
             if not known and index < 0:

@@ -10,7 +10,7 @@ from ekfslam.association.nearest import AMBIGUOUS
 from ekfslam.compiled import compiled
 from ekfslam.estimates import Decision, Innovations, LandmarkEstimates, Trajectory
 from ekfslam.filters.fastslam.gaussians import moments
-from ekfslam.filters.fastslam.particles import GAUSSIAN, Cloud, Maps, Paths
+from ekfslam.filters.fastslam.particles import PAGE, Cloud, Maps, Paths
 from ekfslam.filters.fastslam.step import Log
 from ekfslam.geometry import Array, wrap
 
@@ -76,12 +76,10 @@ def mixture(cloud: Cloud, maps: Maps, ids: np.ndarray) -> Mixture:
     ids : (L,) ndarray of int
         Identity of each name.
     """
-    particles, count = len(cloud.weights), int(maps.count[0])
-    gaussians = np.empty((particles, count, GAUSSIAN))
-    for i in range(particles):
-        gaussians[i], names = maps.landmarks(i)
-    order = np.argsort(names)
-    gaussians, ids, w = gaussians[:, order], ids[names[order]], cloud.weights
+    particles, count = len(cloud.weights), int(maps.used[0])
+    names = maps.landmarks(0)[1]
+    order, w = np.argsort(names), cloud.weights
+    gaussians, ids = maps.gaussians[maps.table[:, order // PAGE], order % PAGE], ids[names[order]]
     within = np.einsum("i,ilc->lc", w, gaussians[:, :, 2:])
     heading = np.arctan2(w @ np.sin(cloud.poses[:, 2]), w @ np.cos(cloud.poses[:, 2]))
     points = gaussians[:, :, :2].reshape(particles, 2 * count)
