@@ -5,26 +5,24 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import gtsam
 import numpy as np
 
 from baselines import entry, keys
-from baselines.batch import in_words
-from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
-from baselines.noise import chosen
-from baselines.stepwise import Arrivals, checked_count, fed, opened, parameters_of
+from baselines.landmark_graph import LandmarkGraph
+from baselines.stepwise import Arrivals, Stepwise, checked_count, fed, parameters_of
 from ekfslam import geometry as geo
-from ekfslam.dataset import Dataset
-from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates
+from ekfslam.estimates import Estimate, LandmarkEstimates
 from ekfslam.geometry import Array
 from ekfslam.registry import Progress
 
 
-@dataclass(frozen=True)
-class GtsamFixedLag:
+@dataclass(frozen=True, kw_only=True)
+class GtsamFixedLag(Stepwise):
     """GTSAM's incremental fixed-lag smoother: iSAM2 that lets go of old poses.
+
+    Options of `baselines.stepwise.Stepwise`, too.
 
     After step k it knows the poses k - lag to k and every landmark that has entered. An older pose
     is marginalised, and what it says of the rest stays as a linear factor; variables of such a
@@ -34,81 +32,25 @@ class GtsamFixedLag:
     Landmarks stay in the window however long they have not been seen: they are what closes loops,
     and a landmark that was let go could not come back under its identity. The price is that all
     that are in the map hang together, as in a filter. Sightings that do not determine a landmark by
-    themselves wait as in `baselines.isam2.GtsamIsam2`, but no longer than their poses are known.
+    themselves wait no longer than their poses are known.
 
     There is the online series and no smoothed one: a pose that leaves the window has been
-    corrected by what was seen up to `lag` steps later, which is neither.
+    corrected by what was seen up to `lag` steps later, which is neither. Nor is there an error of
+    the graph, for most of it is gone. Covariances at the end are those of the final poses and the
+    map, jointly.
 
     Parameters
     ----------
     lag : int
         How many steps back poses are known.
-    relinearize_threshold : float
-        Change of a variable [m, rad] from which it is linearised anew (gtsam's default).
-    relinearize_skip : int
-        Relinearisation is considered at every so many updates (gtsam's default).
-    marginals : bool
-        Whether to recover covariances: of each pose as it comes, and jointly of the final poses
-        and the map.
-    marginal_every : int
-        At how many steps those of the pose that comes: every so many, and the last.
-    association : str or Estimator
-        Whose association to take where the dataset has none.
-    odometry_floor : float
-        See `baselines.landmark_graph.LandmarkGraph`.
-    robust : {"huber", "cauchy", "dcs"}, optional
-        Loss of the sightings of landmarks, see `baselines.batch.GtsamBatch`.
-    robust_scale : float, optional
-        Of the loss; by default the customary one.
-
-    Raises
-    ------
-    UnknownNameError, InputError
-        For a loss that is not there, or numbers that make no sense.
     """
 
     lag: int = 50
-    relinearize_threshold: float = 0.1
-    relinearize_skip: int = 10
-    marginals: bool = True
-    marginal_every: int = 1
-    association: Any = "ekf"
-    odometry_floor: float = ODOMETRY_FLOOR
-    robust: str | None = None
-    robust_scale: float | None = None
     name = "gtsam-fixed-lag"
 
     def __post_init__(self) -> None:
-        chosen(self.robust, self.robust_scale)
+        super().__post_init__()
         checked_count(self.lag, "lag")
-        checked_count(self.marginal_every, "marginal_every")
-
-    def estimate(self, dataset: Dataset, progress: Progress | None = None) -> Estimate:
-        """Smooth a dataset step by step.
-
-        Parameters
-        ----------
-        dataset : Dataset
-        progress : callable, optional
-            Called with (steps done, steps in all).
-
-        Returns
-        -------
-        Estimate
-            With the online trajectory and the final landmarks; without an error of the graph,
-            for most of it is gone. A system that gtsam finds indeterminate gives status `failed`
-            and names the variable.
-
-        Raises
-        ------
-        UnsupportedError
-            If the graph cannot be built, see `baselines.landmark_graph`.
-        """
-        problem, estimate, started = opened(self, dataset)
-        try:
-            return self._run(problem, estimate, started, progress)
-        except RuntimeError as failure:
-            return replace(estimate, status=FAILED, message=in_words(failure))
 
     def _run(
         self,

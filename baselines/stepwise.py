@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import gtsam
@@ -12,17 +12,100 @@ import numpy as np
 
 from baselines import covariances, keys
 from baselines.association import Association
-from baselines.batch import ready
+from baselines.batch import in_words, ready
 from baselines.entry import Entrance, warm_up
-from baselines.landmark_graph import LandmarkGraph
+from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
 from ekfslam import geometry as geo
 from ekfslam.checks import checked_number
 from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError
-from ekfslam.estimates import Estimate, Trajectory
+from ekfslam.estimates import FAILED, Estimate, Trajectory
 from ekfslam.geometry import Array
 from ekfslam.registry import Progress
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stepwise:
+    """What the smoothers that are fed step by step have in common.
+
+    Landmarks seen by bearings or ranges alone enter at the step at which their sightings so far,
+    from the poses as they are known then, determine them (`ekfslam.models.landmarks.fix`).
+
+    Parameters
+    ----------
+    relinearize_threshold : float
+        Change of a variable [m, rad] from which it is linearised anew (gtsam's default).
+    relinearize_skip : int
+        Relinearisation is considered at every so many updates (gtsam's default).
+    marginals : bool
+        Whether to recover covariances: of each pose as it comes, and of all that is known at the
+        end.
+    marginal_every : int
+        At how many steps those of the pose that comes: every so many, and the last. gtsam takes
+        about as long for one as for the update where many landmarks are in view.
+    association : str or Estimator
+        Whose association to take where the dataset has none.
+    odometry_floor : float
+        See `baselines.landmark_graph.LandmarkGraph`.
+    robust : {"huber", "cauchy", "dcs"}, optional
+        Loss of the sightings of landmarks, see `baselines.batch.GtsamBatch`.
+    robust_scale : float, optional
+        Of the loss; by default the customary one.
+
+    Raises
+    ------
+    UnknownNameError, InputError
+        For a loss that is not there, or numbers that make no sense.
+    """
+
+    relinearize_threshold: float = 0.1
+    relinearize_skip: int = 10
+    marginals: bool = True
+    marginal_every: int = 1
+    association: Any = "ekf"
+    odometry_floor: float = ODOMETRY_FLOOR
+    robust: str | None = None
+    robust_scale: float | None = None
+
+    def __post_init__(self) -> None:
+        chosen(self.robust, self.robust_scale)
+        checked_count(self.marginal_every, "marginal_every")
+
+    def estimate(self, dataset: Dataset, progress: Progress | None = None) -> Estimate:
+        """Smooth a dataset step by step.
+
+        Parameters
+        ----------
+        dataset : Dataset
+        progress : callable, optional
+            Called with (steps done, steps in all).
+
+        Returns
+        -------
+        Estimate
+            A system that gtsam finds indeterminate gives status `failed` and names the variable.
+
+        Raises
+        ------
+        UnsupportedError
+            If the graph cannot be built, see `baselines.landmark_graph`.
+        """
+        problem, estimate, started = opened(self, dataset)
+        try:
+            return self._run(problem, estimate, started, progress)
+        except RuntimeError as failure:
+            return replace(estimate, status=FAILED, message=in_words(failure))
+
+    def _run(
+        self,
+        problem: LandmarkGraph,
+        estimate: Estimate,
+        started: float,
+        progress: Progress | None,
+    ) -> Estimate:
+        """Feed the smoother, and read what it knows at the end."""
+        raise NotImplementedError
 
 
 class Arrivals(NamedTuple):
