@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from tabulated import all_tables
 
 from ekfslam import geometry as geo
+from ekfslam.cli.printing import print_summary
 from ekfslam.dataset import Dataset, LandmarkMap, Observations, Robot
 from ekfslam.estimates import Estimate, LandmarkEstimates, Trajectory
 from ekfslam.evaluation import (
@@ -255,6 +256,13 @@ def test_a_heading_here_and_there_gives_headings_there(truth, estimate):
     assert row.nees_pose_mean == pytest.approx(there.nees.mean())
     assert row.nees_pose_final == there.nees.iloc[-1]
     assert row.nees_position_mean == pytest.approx(full.nees_position.mean())
+    kept = run_metrics(along(mixed), estimate)[0]
+    assert kept["position_mse_kept_m2"] == pytest.approx((full.error_position_m**2).mean())
+    assert kept["heading_mse_kept_rad2"] == pytest.approx((there.error_theta_rad**2).mean())
+    assert kept["final_position_error_m"] == full.error_position_m.iloc[-1]
+    assert kept["final_heading_error_rad"] == abs(there.error_theta_rad.iloc[-1])
+    assert kept["final_heading_sigma_rad"] == np.sqrt(there.cov_tt.iloc[-1])
+    assert kept["nees_pose_invariant_final"] == there.nees_invariant.iloc[-1]
 
 
 def test_of_gaussian_errors_the_nees_of_positions_is_chi_square_with_two_degrees(rng):
@@ -290,6 +298,21 @@ def test_without_a_series_the_known_poses_of_all_robots_are_counted(truth):
     gone = Estimate("gone", "curve", status="failed", message="the reason")
     (row,) = tables.summary_scalars(pair, gone)
     assert row["truth_poses"] == known.sum()
+
+
+def test_the_terminal_says_how_much_is_known_and_judges_what_can_be(truth, estimate, capsys):
+    masked, known = gaps(truth)
+    positions = np.column_stack([masked[:, :2], np.full(COUNT, NAN)])
+    for given, said, shown in (
+        (truth, False, ["(3)"]),
+        (masked, True, ["(3)"]),
+        (positions, True, ["pos. (2)"]),
+        (np.full((COUNT, 3), NAN), False, []),
+    ):
+        print_summary(tables.summary_rows(along(given), estimate))
+        out = " ".join(capsys.readouterr().out.split())
+        assert (f"true positions of {known.sum()} of {COUNT} poses" in out) == said
+        assert [words for words in ("(3)", "pos. (2)") if words in out] == shown
 
 
 # Lengths and pairs ----------------------------------------------------------------------------
