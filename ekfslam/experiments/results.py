@@ -24,7 +24,7 @@ from ekfslam.experiments.store import Store, identity
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FIGURES = ("nees-over-time", "run-means", "errors-over-time", "pairs", "sweep")
+FIGURES = ("nees-over-time", "run-means", "errors-over-time", "pairs", "sweep", "option")
 EXPORTS = ("runs", "summary", "nees_over_time", "pairs", "timings")
 # The same text for each of a million steps stays on disk.
 LEFT_OUT = {"runs": (), "steps": ("campaign", "versions"), "timings": ()}

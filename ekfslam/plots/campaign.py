@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from ekfslam.plots.options import plot_options
 from ekfslam.plots.pairs import plot_pairs
 from ekfslam.plots.rows import numbers, typical
 from ekfslam.plots.run_means import plot_run_means
@@ -54,8 +55,8 @@ def plot_campaign(
     Returns
     -------
     dict of Figure
-        ``nees-over-time``, ``run-means``, ``errors-over-time``, ``pairs`` and ``sweep``; what does
-        not fit on a page goes on in ``...-2`` and so on.
+        ``nees-over-time``, ``run-means``, ``errors-over-time``, ``pairs``, ``sweep`` and ``option``;
+        what does not fit on a page goes on in ``...-2`` and so on.
     """
     title = str(config["campaign"])
     found = looks(config["estimators"])
@@ -66,6 +67,7 @@ def plot_campaign(
         | plot_errors_over_time(kept, title, found)
         | plot_pairs(pairs, title, found)
         | plot_sweeps(summary, config, found)
+        | plot_options(summary, found)
     )
 
 

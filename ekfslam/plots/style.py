@@ -74,6 +74,10 @@ LOOKS: Mapping[str, Look] = {
     "gtsam-batch": Look(_GREEN, "s", "--"),
     "gtsam-isam2": Look(_ORANGE, "^", "-."),
     "gtsam-fixed-lag": Look(_INDIGO, "<", "-."),
+    "fastslam1": Look("#44AA99", ">", "--"),
+    "fastslam2": Look("#661100", "d", "-"),
+    "ekf-localization": Look("#CC6677", "p", "-"),
+    "gtsam-localization": Look("#AA4499", "H", "--"),
     "dead-reckoning": Look("#999999", "x", ":"),
 }
 """Estimators that come with the package."""
@@ -95,11 +99,13 @@ a method that is a form of another one shares its colour."""
 _OTHERS = tuple(
     Look(color, marker, linestyle)
     for (marker, linestyle), color in product(
-        [("d", "-"), (">", "--"), ("p", "-."), ("H", ":")], ["#44AA99", "#AA4499", "#661100"]
+        [("d", "-"), (">", "--"), ("p", "-."), ("H", ":")], ["#117733", "#6699CC", "#997700"]
     )
 )
 
 
+# Options that say how much is computed, not how.
+_SAME = re.compile(r"(marginals|marginal_every|seed)=[^,()]*(, )?")
 _METHOD = re.compile(r"ekf-([\w-]+)|ekf\((?:.*, *)?association=([\w-]+).*\)")
 
 
@@ -110,8 +116,10 @@ def look(estimator: str) -> Look:
     ----------
     estimator : str
         Name. One that is neither in `LOOKS` nor the EKF with a method of `METHODS` gets a look of
-        its own that depends on the name alone.
+        its own that depends on the name alone. Options that only say what is recovered, or which
+        seed is drawn from, do not count.
     """
+    estimator = _SAME.sub("", estimator).replace(", )", ")").replace("()", "")
     method = _METHOD.fullmatch(estimator)
     known = LOOKS.get(estimator) or (METHODS.get(method[1] or method[2]) if method else None)
     return known or _OTHERS[zlib.crc32(estimator.encode()) % len(_OTHERS)]
