@@ -55,7 +55,7 @@ def plot_campaign(
     Returns
     -------
     dict of Figure
-        ``nees-over-time``, ``run-means``, ``errors-over-time``, ``pairs``, ``sweep`` and ``option``;
+        ``nees-over-time``, ``run-means``, ``errors-over-time``, ``pairs``, ``sweep``, ``option``;
         what does not fit on a page goes on in ``...-2`` and so on.
     """
     title = str(config["campaign"])

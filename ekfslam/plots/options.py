@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -23,10 +22,9 @@ from ekfslam.plots.sheets import (
     sheet,
 )
 from ekfslam.plots.style import LOOKS, TRUTH, Look
+from ekfslam.registry import parse
 
 FEWEST = 3  # values that make a line worth a figure
-
-_OPTION = re.compile(r"([\w-]+)\((?:(.*), )?(\w+)=(\d+(?:\.\d+)?)(?:, (.*))?\)")
 
 
 class _Measure(NamedTuple):
@@ -85,15 +83,17 @@ def plot_options(summary: pd.DataFrame, found: Mapping[str, Look]) -> dict[str, 
 
 def lines_of(estimators: list[str]) -> dict[str, _Line]:
     """Estimators that differ in one number among their options, by their name without it."""
-    lines: dict[str, _Line] = {}
+    lines: dict[tuple[str, str], _Line] = {}
     for name in estimators:
-        match = _OPTION.fullmatch(name)
-        if match:
-            base, before, option, value, after = match.groups()
-            rest = ", ".join(filter(None, (before, after)))
-            title = f"{base}({rest})" if rest else base
-            lines.setdefault(title, _Line(option, {})).names[name] = float(value)
-    return {title: line for title, line in lines.items() if len(line.names) >= FEWEST}
+        call = parse(name)
+        for option, value in call.options.items():
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                words = {key: word for key, word in call.words.items() if key != option}
+                line = lines.setdefault(
+                    (str(call._replace(words=words)), option), _Line(option, {})
+                )
+                line.names[name] = float(value)
+    return {title: line for (title, _), line in lines.items() if len(line.names) >= FEWEST}
 
 
 def _among(line: _Line, row: Row) -> bool:
