@@ -10,6 +10,8 @@ import numpy as np
 from ekfslam.dataset import Dataset
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import Decision, Estimate, Innovations
+from ekfslam.observations import NO_LANDMARK
+from ekfslam.robots import LandmarkMap
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,20 @@ class Association:
             estimate.association,
             (note,) if gone else (),
         )
+
+    @classmethod
+    def on(cls, known: LandmarkMap, shown: np.ndarray, name: str) -> Association:
+        """Sightings of the landmarks of a known map, and of nothing else.
+
+        Parameters
+        ----------
+        known : LandmarkMap
+        shown : (M,) ndarray of int
+            Identity of what each observation shows.
+        name : str
+        """
+        landmark = np.where(np.isin(shown, known.ids), shown, NO_LANDMARK)
+        return cls(landmark, np.zeros(len(shown), dtype=bool), name)
 
     @property
     def rows(self) -> np.ndarray:

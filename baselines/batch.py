@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from baselines.noise import chosen
 from ekfslam.dataset import Dataset
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
+from ekfslam.geometry import Array
 from ekfslam.registry import Progress, estimator_name, resolve
 
 
@@ -94,20 +96,58 @@ class GtsamBatch:
         association = Association.known(dataset) if named else Association.of(first)
         kernel = chosen(self.robust, self.robust_scale)
         problem = LandmarkGraph(dataset, association, self.odometry_floor, kernel)
-        common: dict[str, Any] = {
-            "estimator": self.name,
-            "dataset": dataset.name,
-            "association": association.name,
-            "options": asdict(replace(self, initial=_name(self.initial))),
-        }
-        if first.final_trajectory is None or not np.isfinite(first.final_trajectory.poses).all():
-            text = f"the start, {_name(self.initial)}, is not finite"
-            return Estimate(**common, status=FAILED, message=text)
+        blank = Estimate(
+            self.name,
+            dataset.name,
+            association.name,
+            options=asdict(replace(self, initial=source_name(self.initial))),
+        )
+        poses = start_of(first, dataset)
+        if poses is None:
+            text = f"the start, {source_name(self.initial)}, is not finite"
+            return replace(blank, status=FAILED, message=text)
         if first.landmarks is None:
             raise UnsupportedError(f"{first.estimator} offers nothing to start from")
-        poses = np.reshape(first.final_trajectory.poses, (len(dataset.robots), dataset.poses, 3))
         entry, positions = all_at_once(problem, poses, first.landmarks)
-        rows = rows_of(problem, entry)
+        found = self.solve(problem, blank, poses, positions, rows_of(problem, entry), started)
+        if found.status == FAILED:
+            return found
+        return replace(
+            found,
+            innovations=association.record(entry),
+            message="; ".join([found.message, *notes(problem, entry)]),
+        )
+
+    def solve(
+        self,
+        problem: LandmarkGraph,
+        blank: Estimate,
+        poses: Array,
+        positions: Mapping[int, Array],
+        rows: list[int],
+        started: float,
+    ) -> Estimate:
+        """Smooth a graph.
+
+        Parameters
+        ----------
+        problem : LandmarkGraph
+        blank : Estimate
+            What to fill in.
+        poses : (R, K + 1, 3) ndarray
+            Where to start.
+        positions : mapping of int to (2,) ndarray
+            Where to start the landmarks that are estimated.
+        rows : list of int
+            Observations to use.
+        started : float
+            When the clock started.
+
+        Returns
+        -------
+        Estimate
+            With poses, landmarks, times and the error of the graph; or `failed`.
+        """
         graph, start = problem.graph(rows), problem.values(poses, positions, rows)
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setRelativeErrorTol(self.relative_tolerance)
@@ -125,21 +165,28 @@ class GtsamBatch:
                 of_poses, of_points = covariances.recovered(problem, graph, values, poses)
                 of_poses = problem.by_robot(of_poses)
         except RuntimeError as failure:
-            return Estimate(**common, status=FAILED, message=in_words(failure))
-        said = [f"{iterations} iterations from {_name(self.initial)}", *problem.notes]
+            return replace(blank, status=FAILED, message=in_words(failure))
+        said = [f"{iterations} iterations from {source_name(self.initial)}", *problem.notes]
         if iterations >= self.max_iterations:
             said.insert(0, "stopped at the limit of iterations")
-        return Estimate(
-            **common,
-            innovations=association.record(entry),
+        return replace(
+            blank,
             smoothed=Trajectory(problem.by_robot(poses), of_poses),
             landmarks=LandmarkEstimates(ids, points, of_points),
             time_total=time_total,
             time_marginals=time.perf_counter() - started,
             graph_error=error,
             graph_dof=problem.dof(rows),
-            message="; ".join(said + notes(problem, entry)),
+            message="; ".join(said),
         )
+
+
+def start_of(estimate: Estimate, dataset: Dataset) -> Array | None:
+    """Poses (R, K + 1, 3) to start from, None if they are not finite."""
+    trajectory = estimate.final_trajectory
+    if trajectory is None or not np.isfinite(trajectory.poses).all():
+        return None
+    return np.reshape(trajectory.poses, (len(dataset.robots), dataset.poses, 3))
 
 
 def in_words(failure: RuntimeError) -> str:
@@ -161,5 +208,6 @@ def ready(source: Any, dataset: Dataset) -> Any:
     return estimator
 
 
-def _name(initial: Any) -> str:
+def source_name(initial: Any) -> str:
+    """How a start is called."""
     return initial.estimator if isinstance(initial, Estimate) else estimator_name(initial)

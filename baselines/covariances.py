@@ -6,7 +6,8 @@ takes about as long as an elimination. Here gtsam linearises the graph, and of t
 `baselines.selected_inverse`.
 
 A constraint has no finite weight. So what it fixes is not among the unknowns: a start that is known
-does not move, and the pose of a displaced sensor moves as the robot's does. All that can move is
+and a landmark that is held do not move, and the pose of a displaced sensor moves as the robot's
+does. All that can move is
 then free of constraints, and their rows come to nothing.
 """
 
@@ -57,12 +58,11 @@ def recovered(
         If the system is indeterminate, with the key of a variable in the words of gtsam.
     """
     variables = np.array(values.keys(), dtype=np.int64)
-    own, sensor, landmark = (
-        keys.has_letter(variables, letter) for letter in (keys.POSE, keys.SENSOR, keys.LANDMARK)
-    )
-    sizes = np.where(landmark & (not problem.points_3d), 2, 3)
+    letters = keys.POSE, keys.SENSOR, keys.LANDMARK, keys.HELD
+    own, sensor, landmark, held = (keys.has_letter(variables, letter) for letter in letters)
+    sizes = np.where(held | (landmark & (not problem.points_3d)), 2, 3)
     known = keys.pose_key(np.zeros(1, dtype=np.int64), np.flatnonzero(problem.known_starts))
-    unknown = ~sensor & ~np.isin(variables, known)
+    unknown = ~sensor & ~held & ~np.isin(variables, known)
     carrier = np.searchsorted(variables, keys.carrier(variables[sensor]))
     poses = np.zeros((len(variables), 3))
     poses[own | sensor] = gtsam.utilities.extractPose2(values)

@@ -82,7 +82,7 @@ class Entrance:
 
     def __init__(self, problem: LandmarkGraph) -> None:
         self._dataset = problem.dataset
-        self._landmark = problem.association.landmark.tolist()
+        self._landmark = problem.mapped.tolist()
         self._kept: dict[int, list[int]] = {}
         self.entry: dict[int, int] = {}
         self.lost: list[int] = []
@@ -153,7 +153,7 @@ def all_at_once(
     def poses_at(rows: list[int]) -> Array:
         return poses[observations.robot[rows], observations.step[rows]]
 
-    shown = problem.association.landmark[rows]
+    shown = problem.mapped[rows]
     given = dict(zip(landmarks.ids.tolist(), landmarks.positions, strict=True))
     whole = set(shown[~partial(dataset, rows)].tolist())
     ids, first = np.unique(shown, return_index=True)
@@ -173,7 +173,7 @@ def all_at_once(
 
 def rows_of(problem: LandmarkGraph, entry: dict[int, int]) -> list[int]:
     """Rows that are in a graph with these landmarks."""
-    shown = problem.association.landmark[problem.rows]
+    shown = problem.mapped[problem.rows]
     inside = (shown < 0) | np.isin(shown, list(entry))
     return problem.rows[inside].tolist()
 
@@ -181,7 +181,7 @@ def rows_of(problem: LandmarkGraph, entry: dict[int, int]) -> list[int]:
 def notes(problem: LandmarkGraph, entry: dict[int, int]) -> list[str]:
     """What there is to say of landmarks that could not enter at once."""
     dataset, rows = problem.dataset, problem.rows
-    shown = problem.association.landmark[rows]
+    shown = problem.mapped[rows]
     late = partial(dataset, rows) & (shown >= 0)
     some = late & ~np.isin(shown, shown[~late])
     if not some.any():

@@ -14,6 +14,10 @@ Factors are gtsam's own, without a Python callback:
 - robots that see robots: the same with `Pose2` in the place of the landmark. In x and y the camera
   looks at a point of its own near the seen robot, with a part of the noise, equal along all axes,
   between robot and point and the rest between point and camera: their sum, whatever the headings.
+- landmarks of a known map, which are held where they are: each sighting has a copy of its landmark
+  under a constraint. A single variable for all that see it would tie their poses together as a
+  landmark that is estimated does; leaves are eliminated first, and the poses remain a chain. In x
+  and y `PlanarProjectionFactor1` takes the point itself.
 
 gtsam's tangent of `Pose2` is that of the body, and its errors of prior and motion are
 ``Log(measured^-1 actual)``: equal to the filters' additive errors to first order in the error of
@@ -37,7 +41,8 @@ from ekfslam.dataset import Dataset, Prior
 from ekfslam.errors import UnsupportedError
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING, XY
-from ekfslam.observations import Sightings
+from ekfslam.observations import NO_LANDMARK, Sightings
+from ekfslam.robots import LandmarkMap
 
 ODOMETRY_FLOOR = 1e-4  # [m] and [rad]; at 1e-6 the system is indeterminate to gtsam
 PRIOR_FLOOR = 1e-6
@@ -46,7 +51,7 @@ PINHOLE = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # unit focal length, no
 # less); x and y are left alone (1e9 m is no information). A constraint would do the same, but
 # gtsam's marginals of a partly constrained variable are wrong.
 DEPTH = noiseModel.Diagonal.Sigmas(np.array([1e9, 1e9, 1e-6]))
-TIE = noiseModel.Constrained.All(3)
+TIE, HOLD = noiseModel.Constrained.All(3), noiseModel.Constrained.All(2)
 # Share of the least variance of an xy sighting of a robot that is between robot and point. In
 # covariances a larger one would show as a knowledge of the robot's heading that is not there.
 NEAR = 1e-3
@@ -72,7 +77,8 @@ class LandmarkGraph:
     """Factors and variables of a dataset.
 
     Rows are those of the dataset's observations. What the sightings need besides poses and
-    landmarks (poses of displaced sensors, points on robots) is called auxiliary.
+    landmarks (poses of displaced sensors, points on robots, landmarks that are held) is called
+    auxiliary.
 
     Parameters
     ----------
@@ -84,6 +90,13 @@ class LandmarkGraph:
         without slip make its covariance singular, which gtsam cannot use.
     kernel : Kernel, optional
         Robust loss of the sightings of landmarks.
+    held : LandmarkMap, optional
+        Where all landmarks of the association are, exactly. None of them is estimated then.
+
+    Attributes
+    ----------
+    mapped : (M,) ndarray of int
+        Landmark that each row helps to estimate, -1 for none.
 
     Raises
     ------
@@ -98,12 +111,18 @@ class LandmarkGraph:
         association: Association,
         odometry_floor: float = ODOMETRY_FLOOR,
         kernel: Kernel | None = None,
+        held: LandmarkMap | None = None,
     ) -> None:
         self.dataset, self.association = dataset, association
         self.rows = association.rows
+        self.mapped = association.landmark
+        self._places: dict[int, Array] = {}
+        if held is not None:
+            self.mapped = np.full_like(association.landmark, NO_LANDMARK)
+            self._places = dict(zip(held.ids.tolist(), held.positions, strict=True))
         self.notes = list(association.notes)
         self.floored = False  # whether some noise had to be raised
-        kinds = np.unique(dataset.sightings.kind[association.landmark >= 0])
+        kinds = np.unique(dataset.sightings.kind[self.mapped >= 0])
         self.points_3d = XY in kinds
         if self.points_3d and len(kinds) > 1:
             raise UnsupportedError(
@@ -122,7 +141,7 @@ class LandmarkGraph:
         self.known_starts = np.array([not r.prior.covariance.any() for r in dataset.robots])
         priors = [self._prior_factor(i, r.prior) for i, r in enumerate(dataset.robots)]
         self._motions = [tuple(priors), *self._motion_factors(odometry_floor)]
-        self._auxiliary: dict[int, int] = {}
+        self._auxiliary: dict[int, list[int]] = {}
         self._sightings = dict(zip(self.rows.tolist(), self._sighting_factors(kernel), strict=True))
 
     # Factors ------------------------------------------------------------------------------------
@@ -154,6 +173,8 @@ class LandmarkGraph:
                 step, robot, sensor = keys.indices(key)
                 pose = keys.pose_key(step, robot)
                 yield gtsam.BetweenFactorPose2(pose, key, self._mounts[sensor], TIE)
+            elif keys.is_held(key):
+                yield gtsam.PriorFactorPoint2(key, self._place(key - keys.HELD), HOLD)
             else:
                 row = key - keys.SEEN
                 robot, step = self._shown(row)
@@ -165,11 +186,11 @@ class LandmarkGraph:
     def auxiliaries(self, rows: Iterable[int]) -> list[int]:
         """Keys of the auxiliary variables that sightings need."""
         needed = self._auxiliary
-        return sorted({needed[row] for row in rows if row in needed}) if needed else []
+        return sorted({key for row in rows for key in needed.get(row, ())}) if needed else []
 
     def landmarks_of(self, rows: Iterable[int]) -> list[int]:
-        """Landmarks that sightings show."""
-        shown = np.unique(self.association.landmark[list(rows)])
+        """Landmarks that sightings help to estimate."""
+        shown = np.unique(self.mapped[list(rows)])
         return shown[shown >= 0].tolist()
 
     def graph(self, rows: Iterable[int] | None = None) -> gtsam.NonlinearFactorGraph:
@@ -237,21 +258,25 @@ class LandmarkGraph:
         of_robot = seen.target >= 0
         mounted = displaced & np.isin(seen.kind, [RANGE_BEARING, BEARING])
         pointed = of_robot & (seen.kind == XY)
+        held = ~of_robot & (seen.kind != XY) & bool(self._places)
         at = keys.pose_key(step, seen.robot)
         at = np.where(mounted, keys.sensor_key(step, seen.robot, sensor), at).tolist()
         to = keys.landmark_key(self.association.landmark[rows])
         to = np.where(of_robot, keys.pose_key(step, seen.target), to)
-        to = np.where(pointed, keys.seen_key(rows), to).tolist()
-        for i in np.flatnonzero(mounted | pointed).tolist():
-            self._auxiliary[int(rows[i])] = at[i] if mounted[i] else to[i]
+        to = np.where(pointed, keys.seen_key(rows), to)
+        to = np.where(held, keys.held_key(rows), to).tolist()
+        for i in np.flatnonzero(mounted | pointed | held).tolist():
+            ends = [at[i]] * bool(mounted[i]) + [to[i]] * bool(pointed[i] | held[i])
+            self._auxiliary[int(rows[i])] = ends
         bearings = np.where(seen.kind == RANGE_BEARING, seen.values[:, 1], seen.values[:, 0])
         bearings = (bearings + np.where(displaced, 0.0, seen.mount[:, 2])).tolist()
         ranges, kinds = seen.values[:, 0].tolist(), seen.kind.tolist()
         noises = self._noises(sensor, of_robot, kernel)
         for i, (mine, robot) in enumerate(zip(sensor.tolist(), of_robot.tolist(), strict=True)):
             if kinds[i] == XY:
+                point = self._place(int(rows[i])) if self._places and not robot else to[i]
                 camera = self._cameras[mine]
-                yield self._projection(at[i], to[i], seen.values[i], camera, noises[i])
+                yield self._projection(at[i], point, seen.values[i], camera, noises[i])
             elif kinds[i] == RANGE and displaced[i]:
                 make = DISPLACED_RANGE[robot]
                 yield make(at[i], to[i], ranges[i], noises[i], self._mounts[mine])
@@ -286,15 +311,23 @@ class LandmarkGraph:
         """Variance between the robot that an xy observation shows and its point."""
         return NEAR * float(np.linalg.eigvalsh(self.dataset.sightings.covariance[row])[0])
 
+    def _place(self, row: int) -> Array:
+        """Where the landmark is held that an observation shows."""
+        return self._places[int(self.association.landmark[row])]
+
     def _projection(
         self,
         pose: int,
-        point: int,
+        point: int | Array,
         value: Array,
         camera: gtsam.Pose3,
         noise: noiseModel.Base,
     ) -> gtsam.NonlinearFactor:
-        return gtsam.PlanarProjectionFactor2(pose, point, value, camera, self._calibration, noise)
+        """A sighting of a variable, or of a point that is held."""
+        rest = value, camera, self._calibration, noise
+        if isinstance(point, int):
+            return gtsam.PlanarProjectionFactor2(pose, point, *rest)
+        return gtsam.PlanarProjectionFactor1(pose, np.append(point, 1.0), *rest)
 
     def _depth(self, key: int) -> gtsam.NonlinearFactor:
         return gtsam.PriorFactorPoint3(key, np.array([0.0, 0.0, 1.0]), DEPTH)
@@ -337,6 +370,8 @@ class LandmarkGraph:
                 step, robot, sensor = keys.indices(key)
                 pose = gtsam.Pose2(*poses[robot, step])
                 values.insert(key, pose.compose(self._mounts[sensor]))
+            elif keys.is_held(key):
+                values.insert(key, self._place(key - keys.HELD))
             else:
                 x, y, _ = poses[self._shown(key - keys.SEEN)]
                 values.insert(key, np.array([x, y, 1.0]))

@@ -91,7 +91,31 @@ class Stepwise:
         UnsupportedError
             If the graph cannot be built, see `baselines.landmark_graph`.
         """
-        problem, estimate, started = opened(self, dataset)
+        return self.solve(*opened(self, dataset), progress)
+
+    def solve(
+        self,
+        problem: LandmarkGraph,
+        estimate: Estimate,
+        started: float,
+        progress: Progress | None,
+    ) -> Estimate:
+        """Smooth a graph step by step.
+
+        Parameters
+        ----------
+        problem : LandmarkGraph
+        estimate : Estimate
+            What to fill in.
+        started : float
+            When the clock started.
+        progress : callable or None
+
+        Returns
+        -------
+        Estimate
+            Or `failed`.
+        """
         try:
             return self._run(problem, estimate, started, progress)
         except RuntimeError as failure:

@@ -13,7 +13,8 @@ from ekfslam.association.gates import chi2_gate
 from ekfslam.dataset import Dataset, LandmarkMap, Observations, Prior, Robot
 from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.estimates import DIVERGED, OK, Decision
-from ekfslam.evaluation import judged
+from ekfslam.evaluation import judged, tables
+from ekfslam.evaluation.association import association_scores
 from ekfslam.evaluation.consistency import pose_nees
 from ekfslam.filters.localization import EkfLocalization
 from ekfslam.models.motion import MotionModel
@@ -465,6 +466,29 @@ def test_a_covariance_that_is_not_positive_ends_the_run_with_a_word():
     assert estimate.status == DIVERGED
     assert estimate.message == "innovation covariance not positive definite at step 1"
     assert np.isnan(estimate.online.poses[2:]).all()
+
+
+# In the tables ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("association", ["known", "nearest"])
+def test_a_given_map_is_not_scored_as_an_estimate(association):
+    data = on_its_map(problem(scanner()), [13, 5])
+    estimate = localized(data, association=association)
+    assert not len(tables.landmarks(data, estimate))
+    row = tables.summary_rows(data, estimate).iloc[0]
+    assert row["status"] == "ok"
+    assert np.isnan(row["landmark_rmse_m"])
+    assert row["association_precision"] == 1.0
+    scores = association_scores(data, estimate)
+    np.testing.assert_array_equal(scores.mapped, np.isin(data.true_landmark, [13, 5]))
+
+
+def test_landmarks_of_the_map_that_were_never_matched_are_missed():
+    dataset = on_its_map(simulate("park", seed=1)).without_identities()
+    scores = association_scores(dataset, localized(far_from(dataset, (200, 0, 0))))
+    assert scores.mapped.all()
+    assert scores.recall == 0.0
 
 
 # What it refuses ---------------------------------------------------------------------------------

@@ -4,7 +4,8 @@ What a landmark *stands for* is said by how it came into the map, never by where
 association it stands for the true landmark whose identity it carries. Otherwise it stands for the
 true landmark that was seen in the observation that founded it: the `NEW` one, or the first of those
 that were `DELAYED` until it was determined. One that clutter founded stands for nothing. A landmark
-that no observation founded was in a map given in advance and stands for the one it is there.
+that no observation founded was in a map given in advance and stands for the one it is there; an
+estimate that makes associations and has no map of its own works on the known map of the dataset.
 
 A landmark is in the map from its founding, or the last delayed observation of it, to the end if the
 final map holds it (determined or not), else to the last observation that was used for it: the
@@ -225,8 +226,8 @@ def _lives(dataset: Dataset, estimate: Estimate) -> _Lives:
     last = rows[np.append(first[1:], len(rows))[: len(first)] - 1]
     # The final map holds the last life of a landmark, and landmarks that no observation was of.
     lasting = np.append(np.diff(landmark) != 0, True)[: len(landmark)]
-    if estimate.landmarks is not None:
-        in_map = map_ids(estimate.landmarks)
+    in_map = _final_map(dataset, estimate)
+    if in_map is not None:
         lasting &= np.isin(landmark, in_map)
         never = np.setdiff1d(in_map, landmark)
         nobody = np.full(len(never), _NO_ROW)
@@ -236,6 +237,13 @@ def _lives(dataset: Dataset, estimate: Estimate) -> _Lives:
     whom = _whom(dataset, estimate, landmark, founder, origin)
     last, merging = np.where(lasting, count, last), _merging(of_row, origin)
     return _Lives(whom, founder, entry, last, lasting, of_row, merging)
+
+
+def _final_map(dataset: Dataset, estimate: Estimate) -> np.ndarray | None:
+    """Identities in the map at the end, None if nothing is known of it."""
+    if estimate.landmarks is not None:
+        return map_ids(estimate.landmarks)
+    return None if dataset.known_map is None else dataset.known_map.ids
 
 
 def _whom(
