@@ -42,7 +42,7 @@ def test_the_line_goes_through_the_means_and_others_are_levels(summary):
     panel = figure.axes[0]
     assert panel.get_title() == "position error, ATE [m]"
     assert panel.get_xlabel() == "particles"
-    means = summary.set_index("estimator")["ate_position_rmse_m_mean"]
+    means = summary.set_index("estimator")["ate_position_rmse_m_mean"].astype(float)
     (line,) = [each for each in panel.lines if len(each.get_xdata()) == 3]
     assert_allclose(line.get_xdata(), [10, 30, 100])
     assert_allclose(line.get_ydata(), means[[NAMES[0], NAMES[2], NAMES[1]]])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ekfslam.errors import InputError
 from ekfslam.plots.rows import numbers
 from ekfslam.plots.sheets import (
     LARGEST,
@@ -85,15 +86,21 @@ def lines_of(estimators: list[str]) -> dict[str, _Line]:
     """Estimators that differ in one number among their options, by their name without it."""
     lines: dict[tuple[str, str], _Line] = {}
     for name in estimators:
-        call = parse(name)
-        for option, value in call.options.items():
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                words = {key: word for key, word in call.words.items() if key != option}
-                line = lines.setdefault(
-                    (str(call._replace(words=words)), option), _Line(option, {})
-                )
-                line.names[name] = float(value)
+        for option, value, title in _numbers_of(name):
+            lines.setdefault((title, option), _Line(option, {})).names[name] = value
     return {title: line for (title, _), line in lines.items() if len(line.names) >= FEWEST}
+
+
+def _numbers_of(name: str) -> Iterator[tuple[str, float, str]]:
+    """Options of an estimator that are numbers, and its name without each."""
+    try:
+        call = parse(name)
+    except InputError:  # what an object calls itself need not read as a name with options
+        return
+    for option, value in call.options.items():
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            words = {key: word for key, word in call.words.items() if key != option}
+            yield option, float(value), str(call._replace(words=words))
 
 
 def _among(line: _Line, row: Row) -> bool:
