@@ -1,0 +1,313 @@
+"""Victoria Park as it came from the car (Guivant and Nebot 2001), the text release of 2003.
+
+========================== ========================================================================
+``DRS.txt``                time [s], speed of the left rear wheel [m/s], steering angle [rad];
+                           every 25 ms
+``GPS.txt``                time [s], north [m], east [m] of the first fix
+``tree_observations.txt``  scan, time [s], range [m], bearing [rad], trunk diameter [m]: what the
+                           tree finder that comes with the MATLAB release makes of the laser's scans
+========================== ========================================================================
+
+The clock of the tree observations is that of the MATLAB release, 20.967 s ahead of the text files.
+Their bearing counts from the right, pi/2 is ahead. The steering of the two releases is calibrated
+differently (text = 1.059 x MATLAB + 0.003 rad); the text's is taken: it dead-reckons the first 200 s
+to 1.5 m of the GPS, the other one to 9 m.
+
+Poses
+-----
+There is a pose for each scan that has trees and falls into the span of the odometry, and it is the
+pose of the laser, 3.78 m ahead of the rear axle and 0.50 m left: the antenna of the GPS is there,
+too. No document says so, but the path of a point 3.9 m ahead and 0.6 m left of the axle fits the
+fixes best (0.1 m and 0.05 m of standard error). x is east, y is north. Speed and steering hold from
+their row to the next; the centre of the axle goes at ``v / (1 - tan(steering) H / L)`` along an arc
+of curvature ``tan(steering) / L``, with H = 0.76 m from there to the wheel and L = 2.83 m between the
+axles. Its increments are put together from scan to scan and taken to the point of the laser.
+
+Truth
+-----
+The GPS is the only one, of position alone: interpolated between fixes no farther apart than 0.5 s,
+NaN elsewhere. It drops out under trees (gaps of up to 181 s, 15 stretches with fixes) and jumps, by
+metres, between and within them: errors of a metre may be its own. The first pose is that which lays
+the odometry of the first ten metres over the fixes.
+
+Noise
+-----
+MEASURED
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ekfslam import geometry as geo
+from ekfslam.checks import checked_array, checked_number
+from ekfslam.dataset import Dataset
+from ekfslam.datasets.catalogue import RECORDED
+from ekfslam.datasets.options import positive, variances
+from ekfslam.datasets.places import located, there
+from ekfslam.datasets.resampling import composed, interpolated
+from ekfslam.datasets.text import Table, read_table, whole
+from ekfslam.errors import FileFormatError, InputError
+from ekfslam.geometry import Array
+from ekfslam.models.motion import Increments, MotionModel
+from ekfslam.models.sensors import Sensor
+from ekfslam.observations import Observations
+from ekfslam.robots import Prior, Robot
+
+NAME = "victoria-park-raw"
+TREES, LASER = "tree_observations.txt", "LASER.txt"
+WHEELBASE = 2.83
+WHEEL_OFFSET = 0.76  # of the encoder from the centre of the axle, to the left
+LASER_AT = (3.78, 0.50)
+CLOCK = 20.967
+CONTROL_SIGMAS = (0.5, 0.08)
+SENSOR_SIGMAS = (0.3, 0.03)
+STEP_SIGMAS = (0.01, 0.02, 0.001)
+PRIOR_SIGMAS = (0.3, 0.3, 0.03)
+ROW = 0.025  # [s] between rows of the odometry
+LONGEST_GAP = 0.5  # [s] between fixes, to be bridged
+FIRST_METRES = 10.0  # of the way, that the first pose is from
+
+
+class Files(NamedTuple):
+    """The three tables."""
+
+    odometry: Table
+    fixes: Table
+    trees: Table
+
+
+def load(
+    path: str | Path | None = None,
+    step: float = 0.0,
+    max_range: float = 30.0,
+    max_diameter: float = 1.0,
+    reference: Sequence[float] = LASER_AT,
+    control_sigmas: Sequence[float] = CONTROL_SIGMAS,
+    step_sigmas: Sequence[float] = STEP_SIGMAS,
+    sensor_sigmas: Sequence[float] = SENSOR_SIGMAS,
+    prior_sigmas: Sequence[float] = PRIOR_SIGMAS,
+    clock: float = CLOCK,
+) -> Dataset:
+    """Load the run.
+
+    Parameters
+    ----------
+    path : path, optional
+        The folder of its files.
+    step : float
+        Least time between poses [s]: scans in between are left out. All scans by default.
+    max_range, max_diameter : float
+        Trees farther away or thicker [m] are left out.
+    reference : (2,) sequence of float
+        The point of the car whose pose is estimated, ahead of the rear axle and to the left [m];
+        the laser by default. The truth is that of the GPS's antenna, which is there.
+    control_sigmas : (2,) sequence of float
+        Standard deviations of speed and steering in a row of the odometry [m/s, rad].
+    step_sigmas : (3,) sequence of float
+        Further ones per step, along, across and in heading [m, m, rad].
+    sensor_sigmas : (2,) sequence of float
+        Of range and bearing [m, rad].
+    prior_sigmas : (3,) sequence of float
+        Of the first pose [m, m, rad].
+    clock : float
+        What the clock of the tree observations is ahead [s].
+
+    Returns
+    -------
+    Dataset
+        One robot, association unknown, trunk diameters as descriptors, GPS as truth of the
+        position.
+
+    Raises
+    ------
+    FileFormatError
+        For a missing or malformed file, with the line.
+    InputError
+        For an option that makes no sense.
+    """
+    if not 0 <= checked_number(step, "step") < np.inf:
+        raise InputError(f"step must be a time in seconds, got {step}")
+    positive(max_range, "max_range")
+    positive(max_diameter, "max_diameter")
+    at = checked_array(reference, float, (2,), "reference")
+    if not np.isfinite(checked_number(clock, "clock")) or not np.isfinite(at).all():
+        raise InputError("clock and reference must be finite")
+    control_noise = variances(control_sigmas, 2, "control_sigmas")
+    step_noise = variances(step_sigmas, 3, "step_sigmas")
+    sensor_noise = variances(sensor_sigmas, 2, "sensor_sigmas")
+    prior_noise = variances(prior_sigmas, 3, "prior_sigmas")
+    odometry, fixes, trees = _read(path)
+    start, end = odometry.values[0, 0], odometry.values[-1, 0] + ROW
+    scanned = trees.values[:, 1] - clock
+    scans = np.unique(scanned)
+    times = thinned(scans[(scans >= start) & (scans <= end)], step)
+    if not len(times):
+        raise FileFormatError(
+            f"{trees.path}: no scan falls into the time of {odometry.path.name}, {start:g} s to "
+            f"{end:g} s, with a clock that is {clock:g} s ahead"
+        )
+    moves = displaced(axle_moves(odometry.values, times, control_noise), at)
+    covariances = moves.covariances + step_noise
+    used = np.isin(scanned, times)
+    near = (trees.values[:, 2] <= max_range) & (trees.values[:, 4] <= max_diameter)
+    seen, seen_at = trees.values[used & near], scanned[used & near]
+    truth = interpolated(
+        fixes.values[:, 0],
+        np.column_stack([fixes.values[:, [2, 1]], np.full(len(fixes), np.nan)]),
+        times,
+        LONGEST_GAP,
+    )
+    typical = covariances.mean(axis=0) if len(covariances) else step_noise
+    robot = Robot(
+        MotionModel("odometry", typical),  # every step has its own; this one is for show
+        moves.deltas,
+        Prior(_first_pose(moves.deltas, truth, fixes), prior_noise),
+        truth if np.isfinite(truth).any() else None,
+        "car",
+        covariances,
+    )
+    return Dataset(
+        name=NAME,
+        robots=(robot,),
+        times=times,
+        sensors=(
+            Sensor(
+                "range-bearing",
+                sensor_noise,
+                mount=[*(np.array(LASER_AT) - at), 0.0],
+                max_range=max_range,
+                field_of_view=np.pi,
+                name="laser",
+            ),
+        ),
+        observations=Observations(
+            step=np.searchsorted(times, seen_at),
+            values=seen[:, 2:4] - [0.0, np.pi / 2],
+            descriptor=seen[:, 4],
+        ),
+        provenance="Australian Centre for Field Robotics, University of Sydney; J. Guivant and "
+        "E. Nebot, IEEE Trans. Robotics and Automation 17(3), 2001",
+        notes=(
+            f"Read: {len(odometry)} rows of odometry, {len(fixes)} fixes, {len(trees)} tree "
+            f"observations in {len(scans)} scans; {len(scans) - len(times)} scans are before or "
+            f"after the odometry or between steps, {(used & ~near).sum()} trees beyond "
+            f"{max_range:g} m or thicker than {max_diameter:g} m.",
+            "The truth is GPS, which drops out under trees and jumps by metres: position errors "
+            "and NEES are also its own.",
+        ),
+    )
+
+
+def thinned(times: Array, step: float) -> Array:
+    """Those of increasing times that are at least a step after the one kept before."""
+    kept: list[float] = []
+    for time in times.tolist():
+        if not kept or time >= kept[-1] + step:
+            kept.append(time)
+    return np.array(kept)
+
+
+def axle_moves(rows: Array, times: Array, noise: Array) -> Increments:
+    """Increments of the centre of the rear axle between times.
+
+    Parameters
+    ----------
+    rows : (n, 3) ndarray
+        Time [s], speed of the left rear wheel [m/s], steering [rad]; each holds until the next.
+    times : (K + 1,) ndarray
+        Increasing, none before the first row.
+    noise : (2, 2) ndarray
+        Of speed and steering in a row of 25 ms, independent of the next row's; over other times
+        its density is the same.
+
+    Returns
+    -------
+    Increments
+        K of them.
+    """
+    inside = (rows[:, 0] > times[0]) & (rows[:, 0] < times[-1])
+    grid = np.union1d(rows[inside, 0], times)
+    held = rows[np.searchsorted(rows[:, 0], grid[:-1], side="right") - 1]
+    speed, tangent = held[:, 1], np.tan(held[:, 2])
+    slope = 1 + tangent**2
+    share = WHEEL_OFFSET / WHEELBASE
+    centre = speed / (1 - share * tangent)
+    J = np.empty((len(held), 2, 2))
+    J[:, 0, 0] = 1 / (1 - share * tangent)
+    J[:, 0, 1] = share * slope * centre * J[:, 0, 0]
+    J[:, 1, 0] = J[:, 0, 0] * tangent / WHEELBASE
+    J[:, 1, 1] = (J[:, 0, 1] * tangent + centre * slope) / WHEELBASE
+    lasting = np.diff(grid)
+    covariances = geo.congruence(J, noise) * (ROW / lasting)[:, None, None]
+    controls = np.column_stack([centre, centre * tangent / WHEELBASE, lasting])
+    model = MotionModel("velocity", np.zeros((2, 2)))
+    return composed(model.increments(controls, covariances), np.searchsorted(grid, times))
+
+
+def displaced(moves: Increments, point: Array) -> Increments:
+    """Increments of a point of the body instead of its origin.
+
+    With m the point, a delta becomes ``m^-1 delta m``.
+
+    Parameters
+    ----------
+    moves : Increments
+    point : (2,) ndarray
+        In the body frame [m].
+    """
+    mount = np.append(point, 0.0)
+    J, _ = geo.compose_jacobians(moves.deltas, mount)
+    deltas = geo.between(mount, geo.compose(moves.deltas, mount))
+    return Increments(deltas, geo.congruence(J, moves.covariances))
+
+
+def _first_pose(deltas: Array, truth: Array, fixes: Table) -> Array:
+    """Pose that lays the odometry of the first metres over the truth; without any, heading east."""
+    path = geo.integrate(np.zeros(3), deltas)
+    far = np.cumsum(np.hypot(deltas[:, 0], deltas[:, 1])) > FIRST_METRES
+    first = np.arange(int(np.argmax(far)) + 2 if far.any() else len(path))
+    first = first[np.isfinite(truth[first, 0])]
+    if len(first) < 2:
+        return np.array([*fixes.values[0, [2, 1]], 0.0])
+    return geo.compose(geo.align(path[first, :2], truth[first, :2]), path[0])
+
+
+def _read(path: str | Path | None) -> Files:
+    """The tables, after a look at what they hold."""
+    folders = RECORDED[NAME].folders
+    files = located(NAME, path, folders, ("DRS.txt", "GPS.txt"))
+    detections = there(files["DRS.txt"], TREES)
+    if detections is None:
+        scans = there(files["DRS.txt"], LASER)
+        besides = f"beside {scans.name} " if scans else ""
+        raise FileFormatError(
+            f"{files['DRS.txt'].parent} has no {TREES} (nor {TREES}.gz): {besides}there must be "
+            f"the trees found in the scans, rows of scan, time [s, {CLOCK} s ahead], range [m], "
+            "bearing [rad, 0 right, pi/2 ahead], diameter [m]"
+        )
+    odometry = read_table(files["DRS.txt"], ("time", "speed", "steering"), "%")
+    fixes = read_table(files["GPS.txt"], ("time", "north", "east"), "%")
+    trees = read_table(detections, ("scan", "time", "range", "bearing", "diameter"))
+    for table in (odometry, fixes):
+        late = np.diff(table.values[:, 0], prepend=-np.inf)
+        table.refuse(late <= 0, "time does not increase")
+    gaps = np.diff(odometry.values[:, 0], prepend=odometry.values[0, 0])
+    odometry.refuse(gaps > 1.5 * ROW, f"rows are missing: they come every {1000 * ROW:g} ms")
+    odometry.refuse(np.abs(odometry.values[:, 1]) > 50, "is the speed in metres per second?")
+    odometry.refuse(np.abs(odometry.values[:, 2]) > 1.2, "is the steering angle in radians?")
+    fixes.refuse(np.abs(fixes.values[:, 1:]).max(axis=1) > 1e4, "are north and east in metres?")
+    number, time, distance, bearing, diameter = trees.values.T
+    whole(trees, 0, "the scan")
+    change, passed = np.diff(number, prepend=number[0]), np.diff(time, prepend=time[0])
+    trees.refuse(change < 0, "the scan's number goes back")
+    trees.refuse((change > 0) & (passed <= 0), "time does not increase")
+    trees.refuse((change == 0) & (passed != 0), "two times in one scan")
+    trees.refuse((distance <= 0) | (distance > 100), "is the range in metres?")
+    trees.refuse((bearing < -0.01) | (bearing > np.pi + 0.01), "is the bearing in radians?")
+    trees.refuse((diameter < 0) | (diameter > 20), "is the diameter in metres?")
+    return Files(odometry, fixes, trees)
