@@ -512,7 +512,6 @@ def test_dataset_says_where_it_comes_from():
     assert "cloister" in data.provenance
     assert "42" in data.provenance
     assert "0.5" in data.provenance
-    assert data.known_map is None
 
 
 def test_a_world_that_is_never_seen_makes_a_dataset_without_observations():

@@ -12,6 +12,7 @@
     clutter = 0.3                 # optional: spurious sightings per look
     wrong_ids = 0.01              # optional: share of sightings that carry another's identity
     descriptor_sigma = 0.02       # optional: noise of the descriptors of the world
+    known_map = 0.5               # optional: share of the landmarks on the map for localization
 
     [world]                       # kind and parameters of a function in ekfslam.simulation.worlds
     kind = "points"
@@ -136,6 +137,9 @@ class Scenario:
         One number of each landmark that its sightings report, such as a trunk diameter [m].
     descriptor_sigma : float
         Standard deviation of the noise of descriptors.
+    known_map : float
+        Share of the landmarks that the dataset's known map holds, for those who localize on it:
+        all by default, so many picked at random, or, with 0, no map at all.
 
     Raises
     ------
@@ -164,6 +168,7 @@ class Scenario:
     wrong_ids: float = 0.0
     descriptors: Array | None = None
     descriptor_sigma: float = 0.0
+    known_map: float = 1.0
 
     def __post_init__(self) -> None:
         for name, known in (
@@ -185,6 +190,8 @@ class Scenario:
         self._check_robots()
         self._check_sensors()
         self._check_descriptors()
+        if not 0 <= self.known_map <= 1:
+            raise InputError(f"known_map must be a share from 0 to 1, got {self.known_map}")
 
     def _check_robots(self) -> None:
         names = [plan.name for plan in self.robot_plans]
@@ -287,6 +294,7 @@ class Scenario:
             f"clutter {self.clutter:g} per look" if self.clutter else "",
             f"wrong identities {self.wrong_ids:.3g}" if self.wrong_ids else "",
             "descriptors" if self.descriptors is not None else "",
+            f"{self.known_map:.3g} of the map known" if self.known_map < 1 else "",
             f"association {self.association}",
         ]
         return f"{self.description} [{'; '.join(filter(None, facts))}]".strip()

@@ -12,7 +12,16 @@ from ekfslam.errors import InputError
 from ekfslam.geometry import Array
 from ekfslam.models.mixture import mixture_of
 from ekfslam.observations import NO_LANDMARK, Observations
-from ekfslam.simulation.draws import COMPONENTS, CONTROL, MISTAKES, POLICY, START, shaped, stream
+from ekfslam.simulation.draws import (
+    COMPONENTS,
+    CONTROL,
+    MISTAKES,
+    POLICY,
+    START,
+    part_of,
+    shaped,
+    stream,
+)
 from ekfslam.simulation.outliers import clutter, mistake
 from ekfslam.simulation.plans import RobotPlan
 from ekfslam.simulation.reading import load_scenario
@@ -50,7 +59,7 @@ def simulate(
     Returns
     -------
     Dataset
-        With the truth of poses, map and associations.
+        With the truth of poses, map and associations, and the map that may be known.
 
     Raises
     ------
@@ -99,6 +108,7 @@ def simulate(
             observed_robot=seen.target if (seen.target >= 0).any() else None,
             descriptor=None if scenario.descriptors is None else seen.descriptor,
         ),
+        known_map=part_of(scenario.landmarks, scenario.known_map, seed),
         true_map=scenario.landmarks,
         true_landmark=seen.landmark,
         provenance=provenance,

@@ -90,7 +90,9 @@ def scenario_hash(scenario: Scenario) -> str:
     str
         64 hexadecimal digits (SHA-256).
     """
-    skipped = (*_WORDS, *_OF_ROBOTS, "sensors", "time_step")
+    skipped: tuple[str, ...] = (*_WORDS, *_OF_ROBOTS, "sensors", "time_step")
+    if scenario.known_map == 1:  # came later, and older digests hold
+        skipped = (*skipped, "known_map")
     settings = {f.name: getattr(scenario, f.name) for f in fields(Scenario)}
     contents = {name: value for name, value in settings.items() if name not in skipped} | {
         "robots": [
