@@ -10,7 +10,8 @@ from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset, Prior, Robot
 from ekfslam.errors import InputError
 from ekfslam.geometry import Array
-from ekfslam.models.mixture import mixture_of
+from ekfslam.models.mixture import Mixture, mixture_of
+from ekfslam.models.motion import MotionModel
 from ekfslam.observations import NO_LANDMARK, Observations
 from ekfslam.simulation.draws import (
     COMPONENTS,
@@ -52,7 +53,8 @@ def simulate(
         as drawn: the same draw of a smaller problem.
     draw : float
         Scales what is drawn and not what is stated; 0 gives data without noise that still state
-        theirs. Outliers are not noise and stay.
+        theirs. Outliers are not noise and stay, and so does the mean of a mixture, which an
+        estimator takes off.
     odometry_noise : float
         Scales the noise of the controls and the slip alone, stated and drawn.
 
@@ -83,10 +85,10 @@ def simulate(
     seed = int(seed)
     robots, truths = [], []
     for number, plan in enumerate(scenario.robot_plans):
-        scale = noise * odometry_noise * draw
-        controls, truth = _drive(plan, scenario.noise_on, seed, number, scale)
-        prior = _draw_prior(plan, stream(seed, START, number), noise, draw)
         motion = plan.motion.scaled(noise * odometry_noise)
+        scale = noise * odometry_noise * draw
+        controls, truth = _drive(plan, motion, scenario.noise_on, seed, number, scale)
+        prior = _draw_prior(plan, stream(seed, START, number), noise, draw)
         robots.append(Robot(motion, controls, prior, truth, plan.name))
         truths.append(truth)
     seen = _look(scenario, np.stack(truths), seed, noise * draw)
@@ -117,7 +119,7 @@ def simulate(
 
 
 def _drive(
-    plan: RobotPlan, noise_on: str, seed: int, number: int, scale: float
+    plan: RobotPlan, stated: MotionModel, noise_on: str, seed: int, number: int, scale: float
 ) -> tuple[Array, Array]:
     """Measured controls (K, m) and true poses (K + 1, 3)."""
     motion, command = plan.motion, plan.controls
@@ -125,11 +127,11 @@ def _drive(
     random = stream(seed, CONTROL, number)
     draws = random.standard_normal((len(command), covariances.shape[-1] + 1))
     on_odometry = noise_on == "odometry"
-    noise = shaped(covariances, draws[:, :-1])
-    if motion.mixture is not None:  # an offset is of the measured less the true control
-        scales, offsets = _components(motion.mixture, len(command), seed, number)
-        noise = scales * noise + (offsets if on_odometry else -offsets)
-    noise = scale * noise
+    noise = scale * shaped(covariances, draws[:, :-1])
+    if motion.mixture is not None and stated.mixture is not None:
+        factors, away = _components(mixture_of(motion.mixture), len(command), seed, number)
+        offset = scale * away + mixture_of(stated.mixture).mean
+        noise = factors * noise + (offset if on_odometry else -offset)  # measured less true
     noisy = motion.noisy_controls
     perturbed = command.copy()
     perturbed[:, :noisy] += noise[:, :noisy]
@@ -141,12 +143,11 @@ def _drive(
     return measured, geo.integrate(plan.start, increments)
 
 
-def _components(rows: Array, steps: int, seed: int, number: int) -> tuple[Array, Array]:
-    """Scales (steps, 1) and offsets (steps, n) of a component drawn for each step."""
-    mixture = mixture_of(rows)
+def _components(mixture: Mixture, steps: int, seed: int, number: int) -> tuple[Array, Array]:
+    """Scale (steps, 1) and offset from the mean (steps, n) of a component drawn for each step."""
     draws = stream(seed, CONTROL, number, COMPONENTS).random(steps)
     drawn = np.searchsorted(np.cumsum(mixture.weights)[:-1], draws, side="right")
-    return mixture.scales[drawn, None], mixture.offsets[drawn]
+    return mixture.scales[drawn, None], mixture.offsets[drawn] - mixture.mean
 
 
 def _look(scenario: Scenario, truths: Array, seed: int, scale: float) -> Rows:
