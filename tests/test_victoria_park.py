@@ -115,12 +115,12 @@ def test_a_file_without_sightings_is_a_drive(small, noise):
         ("EDGE2 1 2 3", "unknown record 'EDGE2'"),
         ("LANDMARK 5 7 3 4 0.4 0.1", "LANDMARK needs 7 numbers, got 6"),
         ("ODOMETRY 5 6 1 0.5 0.25", "ODOMETRY needs 11 numbers, got 5"),
-        ("LANDMARK 5 7 3 four 0.4 0.1 0.5", "not a number in LANDMARK"),
-        ("LANDMARK 5 7 nan 4 0.4 0.1 0.5", "NaN or infinite value in LANDMARK"),
-        ("LANDMARK 5 7 3 -inf 0.4 0.1 0.5", "NaN or infinite value in LANDMARK"),
+        ("LANDMARK 5 7 3 four 0.4 0.1 0.5", "y of LANDMARK is no number but 'four'"),
+        ("LANDMARK 5 7 nan 4 0.4 0.1 0.5", "x of LANDMARK is nan"),
+        ("LANDMARK 5 7 3 -inf 0.4 0.1 0.5", "y of LANDMARK is -inf"),
         ("LANDMARK 5 7.5 3 4 0.4 0.1 0.5", "ids of LANDMARK must be whole numbers"),
         ("LANDMARK -5 7 3 4 0.4 0.1 0.5", "ids of LANDMARK must be whole numbers"),
-        (SIGHTING.format(6, 7), "LANDMARK seen from pose 6, which has no odometry"),
+        (SIGHTING.format(6, 7), "landmark 7 is seen from pose 6, which has no odometry"),
         (ODOMETRY.format(6, 7), "the odometry chain breaks"),
         (ODOMETRY.format(5, 2), "pose 2"),  # reached twice
         (SIGHTING.format(5, 3), "landmark 3"),  # seen twice from pose 5
@@ -151,11 +151,13 @@ def test_a_covariance_of_the_file_that_cannot_be_used_is_named(small, line):
 
 
 def test_a_file_that_is_none(small, tmp_path):
-    for path, said in ((small(""), "holds no odometry"), (tmp_path / "none", "no file or folder"),
+    for path, said in ((small(""), "is empty"), (tmp_path / "none", "no file or folder"),
                        (tmp_path, "has no victoria_park.txt")):  # fmt: skip
         with pytest.raises(FileFormatError, match=said) as error:
             victoria_park.load(path)
         assert str(path) in str(error.value)
+    with pytest.raises(FileFormatError, match="holds no odometry"):
+        victoria_park.load(small(SIGHTING.format(1, 2)))
     (tmp_path / "image").write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(FileFormatError, match="cannot be read"):
         victoria_park.load(tmp_path / "image")
