@@ -137,7 +137,7 @@ def _draw_line(panel: Axes, measure: _Measure, row: Row, line: _Line, own: Look)
     names = sorted(set(line.names).intersection(row.estimators), key=line.names.__getitem__)
     rows = pd.concat([row.of(name).iloc[:1] for name in names])
     panel.errorbar(
-        [line.names[name] for name in names],
+        np.array([line.names[name] for name in names]),
         np.minimum(numbers(rows, measure.column), 10 * LARGEST),
         yerr=np.nan_to_num(numbers(rows, measure.bar)),
         color=own.color,
