@@ -28,6 +28,7 @@ import pandas as pd
 from campaigns import campaigns
 from covariance_recovery import recovery
 from family import family
+from fastslam import fastslam
 from ratios import at_least, at_most
 from textbook import TextbookEkf
 
@@ -54,7 +55,7 @@ def main() -> None:
     """Measure, print, write."""
     describe_machine()
     rows = [*victoria_park(), *covariances(), *map_sizes(), *association(), *family()]
-    rows += [*campaigns(), *start_up()]
+    rows += [*fastslam(), *campaigns(), *start_up()]
     columns = ["what", "ours", "other", "unit", "ratio", "bound", "holds"]
     table = pd.DataFrame(rows, columns=columns)
     OUT.parent.mkdir(parents=True, exist_ok=True)

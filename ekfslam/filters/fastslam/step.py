@@ -202,6 +202,7 @@ def run(  # type: ignore[no-untyped-def]
     roots = np.zeros((components, POSE, POSE))
     mean, P, L = np.empty(POSE), np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
     noise, sure = np.empty(POSE), np.zeros((POSE, POSE))
+    room = np.empty(2), np.empty((2, 3)), np.empty((2, 2))  # of a landmark that is new
     for k in range(start, stop):
         begin = now()
         first, last, at = offsets[k], offsets[k + 1], k - draws.first
@@ -232,8 +233,9 @@ def run(  # type: ignore[no-untyped-def]
                 drawn(motion.deltas[c, k], roots[c], normals, noise)
                 advance(pose, 0, noise)
             observe(
-                i, pose, sure, first, last, sightings, logdets, cloud, maps, settings, log, scratch
-            )
+                i, pose, sure, first, last, sightings, logdets, cloud, maps, settings, log,
+                scratch, room,
+            )  # fmt: skip
         effective, usable = normalise(cloud.log_weights, cloud.weights)
         if not usable:
             log.degenerate[1] = k if log.degenerate[0] == 0 else log.degenerate[1]
@@ -310,7 +312,7 @@ def served(fused, choice, r, index):  # type: ignore[no-untyped-def]
 
 @inlined
 def observe(  # type: ignore[no-untyped-def]
-    i, pose, sure, base, last, sightings, logdets, cloud, maps, settings, log, scratch
+    i, pose, sure, base, last, sightings, logdets, cloud, maps, settings, log, scratch, room
 ):
     """All that a particle sees from its pose: weigh, correct its landmarks, map new ones.
 
@@ -325,7 +327,6 @@ def observe(  # type: ignore[no-untyped-def]
     choice, fused, weight = scratch.choice, scratch.fused, cloud.log_weights[i]
     before, nus, Ss, known = scratch.before[i], scratch.nu[i], scratch.S[i], settings.known
     first, spent = base, False
-    spot, G, noise = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
     while first < last:
         end = end_of_look(sightings, first, last)
         kind, mount = kinds[first], mounts[first]
@@ -357,6 +358,7 @@ def observe(  # type: ignore[no-untyped-def]
             elif index == NEW:
                 name = sightings.landmark[row] if known else row
                 page, slot = add_landmark(maps, i, name)
+                spot, G, noise = room
                 locate(kind, mount, pose, values[row], Rs[row], spot, G, noise)
                 g = gaussians[page, slot]
                 g[0], g[1] = spot[0], spot[1]
@@ -390,41 +392,43 @@ def write_rows(k, base, last, sightings, log, scratch):  # type: ignore[no-untyp
     What the particles expect of a row is a mixture, weighted with what they weigh after the rows
     before it: mean and covariance, within and between them, of those that took it for a landmark.
     """
-    before = scratch.before
+    before, nus, Ss, m = scratch.before, scratch.nu, scratch.S, last - base
+    most, heaviest = np.full(m, -np.inf), np.zeros(m, np.int64)
+    for i in range(before.shape[0]):
+        for r in range(m):
+            if before[i, r] > most[r]:
+                most[r], heaviest[r] = before[i, r], i
+    total, mean, second = np.zeros(m), np.zeros((m, 2)), np.zeros((m, 3))
+    for i in range(before.shape[0]):
+        for r in range(m):
+            if not before[i, r] > -np.inf:
+                continue
+            origin = heaviest[r]
+            w = np.exp(before[i, r] - most[r])
+            a, b = nus[i, r, 0] - nus[origin, r, 0], nus[i, r, 1] - nus[origin, r, 1]
+            b = wrap(b) if sightings.kind[base + r] == RANGE_BEARING else b
+            total[r] += w
+            mean[r, 0] += w * a
+            mean[r, 1] += w * b
+            second[r, 0] += w * (Ss[i, r, 0] + a * a)
+            second[r, 1] += w * (Ss[i, r, 1] + a * b)
+            second[r, 2] += w * (Ss[i, r, 2] + b * b)
     log.nis[k] = 0.0
-    both, S = np.empty(2), np.empty(3)
-    for row in range(base, last):
-        r = row - base
-        most, heaviest = -np.inf, 0
-        for i in range(before.shape[0]):
-            if before[i, r] > most:
-                most, heaviest = before[i, r], i
-        if not most > -np.inf:
-            continue
-        total, origin = 0.0, scratch.nu[heaviest, r]
-        angular = sightings.kind[row] == RANGE_BEARING
-        both[:] = S[:] = 0.0
-        for i in range(before.shape[0]):
-            w = np.exp(before[i, r] - most)
-            a, b = scratch.nu[i, r, 0] - origin[0], scratch.nu[i, r, 1] - origin[1]
-            b = wrap(b) if angular else b
-            total += w
-            both[0] += w * a
-            both[1] += w * b
-            S[0] += w * (scratch.S[i, r, 0] + a * a)
-            S[1] += w * (scratch.S[i, r, 1] + a * b)
-            S[2] += w * (scratch.S[i, r, 2] + b * b)
-        for a in range(2):
-            both[a] /= total
-        S[0] = S[0] / total - both[0] * both[0]
-        S[1] = S[1] / total - both[0] * both[1]
-        S[2] = S[2] / total - both[1] * both[1]
-        both[0] += origin[0]
-        both[1] = wrap(origin[1] + both[1]) if angular else origin[1] + both[1]
-        log.innovation[row] = both
-        log.S[row, 0, 0], log.S[row, 1, 1] = S[0], S[2]
-        log.S[row, 0, 1] = log.S[row, 1, 0] = S[1]
-        log.nis[k] += distance(both, inverse(S))
-        log.dof[k] += 2
+    for r in range(m):
+        if total[r] > 0.0:
+            a, b, origin, row = mean[r, 0] / total[r], mean[r, 1] / total[r], heaviest[r], base + r
+            S = (
+                second[r, 0] / total[r] - a * a,
+                second[r, 1] / total[r] - a * b,
+                second[r, 2] / total[r] - b * b,
+            )
+            nu = nus[origin, r, 0] + a, nus[origin, r, 1] + b
+            if sightings.kind[row] == RANGE_BEARING:
+                nu = nu[0], wrap(nu[1])
+            log.innovation[row, 0], log.innovation[row, 1] = nu
+            log.S[row, 0, 0], log.S[row, 1, 1] = S[0], S[2]
+            log.S[row, 0, 1] = log.S[row, 1, 0] = S[1]
+            log.nis[k] += distance(nu, inverse(S))
+            log.dof[k] += 2
     if log.dof[k] == 0:
         log.nis[k] = np.nan
