@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 
 from ekfslam.dataset import Dataset, LandmarkMap, Prior, Robot
+from ekfslam.datasets import RECORDED, load_recorded
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.observations import Observations
@@ -15,6 +18,20 @@ from ekfslam.observations import Observations
 def rng():
     """A seeded generator: the same draws in every run."""
     return np.random.default_rng(20240607)
+
+
+@pytest.fixture
+def recorded_data():
+    """Loads a recorded set as its authors publish it, or skips the test where it is not."""
+
+    def load(name, **options):
+        if not os.environ.get("EKFSLAM_DATA"):
+            pytest.skip("EKFSLAM_DATA names no folder")
+        if not RECORDED[name.partition("/")[0]].is_here(name.partition("/")[0]):
+            pytest.skip(f"{name} is not in the data folder")
+        return load_recorded(name, **options)
+
+    return load
 
 
 @pytest.fixture

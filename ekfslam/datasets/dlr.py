@@ -38,12 +38,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ekfslam import geometry as geo
-from ekfslam.checks import checked_array, is_covariance
+from ekfslam.checks import is_covariance
 from ekfslam.dataset import Dataset
 from ekfslam.datasets.catalogue import files_of
-from ekfslam.datasets.options import one_of, positive, variances
+from ekfslam.datasets.options import finite, one_of, positive, variances
+from ekfslam.datasets.pose_graph import repeated
 from ekfslam.datasets.text import Line, Table, lines_of, numbers, whole
-from ekfslam.errors import FileFormatError, InputError
+from ekfslam.errors import FileFormatError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
@@ -107,23 +108,20 @@ def load(
     scale = np.diag([positive(odometry_scale, "odometry_scale")] * 2 + [1.0])
     odometry_noise = variances(odometry_sigmas, 3, "odometry_sigmas")
     sensor_noise = variances(sensor_sigmas, 2, "sensor_sigmas")
-    line = checked_array(range_line, float, (2,), "range_line")
-    if not (np.isfinite(line).all() and line[1] > 0):
-        raise InputError(f"range_line must be an offset and a positive slope, got {range_line!r}")
+    line = finite(range_line, 2, "range_line")
+    positive(line[1], "the slope of range_line")
     path = files_of("dlr", path)["map.circles"]
     steps, seen, step = _read(path)
     landmark = whole(seen, 6, "the id", least=NO_LANDMARK)
     _check_twice(seen, step, landmark)
-    motion_covariances = _covariances(steps, steps.values[:, 3:], POSE)
+    stated = geo.congruence(scale, _covariances(steps, steps.values[:, 3:], POSE))
     covariances = _covariances(seen, seen.values[:, 3:6], POINT)
-    points, stretch = _uncompressed(seen, seen.values[:, :2] @ POINT.T, line)
-    covariances *= stretch[:, None, None] ** 2
-    if noise == "default":
-        motion_covariances = None
-        covariances = along_sight(points, sensor_noise)
+    points, J = _uncompressed(seen, seen.values[:, :2] @ POINT.T, line)
+    covariances = geo.congruence(J, covariances)
+    if noise == "file":
+        odometry_noise = stated.mean(axis=0)
     else:
-        motion_covariances = geo.congruence(scale, motion_covariances)
-        odometry_noise = motion_covariances.mean(axis=0)
+        covariances = along_sight(points, sensor_noise)
     typical = covariances.mean(axis=0) if len(covariances) else sensor_noise
     clutter = landmark == NO_LANDMARK
     kept = ~clutter if spurious == "drop" else np.full(len(landmark), True)
@@ -131,7 +129,7 @@ def load(
         MotionModel("odometry", odometry_noise),
         steps.values[:, :3] @ POSE.T @ scale,
         Prior(),
-        covariance=motion_covariances,
+        covariance=stated if noise == "file" else None,
     )
     return Dataset(
         name="dlr",
@@ -179,12 +177,14 @@ def along_sight(points: Array, noise: Array) -> Array:
 
 
 def _uncompressed(seen: Table, points: Array, line: Array) -> tuple[Array, Array]:
-    """Points at their true ranges, and by how much they were moved outwards."""
+    """Points at their true ranges, and the derivative of that by the point."""
     recorded = np.hypot(points[:, 0], points[:, 1])
     true = (recorded - line[0]) / line[1]
     seen.refuse((true <= 0) | (recorded == 0), "nearer than the offset of range_line")
-    stretch = true / recorded
-    return points * stretch[:, None], stretch
+    stretch = (true / recorded)[:, None]
+    outwards = points / recorded[:, None]
+    along = (1 / line[1] - stretch)[..., None] * outwards[:, :, None] * outwards[:, None, :]
+    return points * stretch, stretch[..., None] * np.eye(2) + along
 
 
 class _Rows(NamedTuple):
@@ -249,9 +249,7 @@ def _size(table: Table) -> Array:
 
 def _check_twice(seen: Table, step: np.ndarray, landmark: np.ndarray) -> None:
     keys = np.column_stack([step, landmark])
-    _, first = np.unique(keys, axis=0, return_index=True)
-    again = ~np.isin(np.arange(len(keys)), first) & (landmark >= 0)
-    seen.refuse(again, "the id is seen twice after one step")
+    seen.refuse(repeated(keys) & (landmark >= 0), "the id is seen twice after one step")
 
 
 def _covariances(table: Table, columns: Array, frame: Array) -> Array:

@@ -28,6 +28,7 @@ from ekfslam.checks import checked_array
 from ekfslam.dataset import Dataset
 from ekfslam.datasets.catalogue import files_of
 from ekfslam.datasets.options import variances
+from ekfslam.datasets.pose_graph import repeated
 from ekfslam.datasets.text import Table, lines_of, numbers, read_table, whole
 from ekfslam.errors import FileFormatError
 from ekfslam.geometry import Array
@@ -82,7 +83,7 @@ def load(
     deltas, covariances = turn_drive_turn(motions.values, motion_noise)
     values = seen.values[:, 1:].copy()
     values[:, 1] = geo.wrap(values[:, 1])
-    motion = MotionModel("odometry", _typical(covariances))
+    motion = MotionModel("odometry", covariances.mean(axis=0))  # for show: each motion has its own
     return Dataset(
         name="freiburg-course",
         robots=(Robot(motion, deltas, Prior(), covariance=covariances),),
@@ -126,17 +127,11 @@ def turn_drive_turn(motions: Array, covariance: Array) -> Increments:
     return Increments(deltas, geo.congruence(J, covariance))
 
 
-def _typical(covariances: Array) -> Array:
-    """The mean covariance: for show, since every motion has its own."""
-    return covariances.mean(axis=0)
-
-
 def _read_world(path: Path) -> LandmarkMap:
     """The true landmarks."""
     table = read_table(path, ("id", "x", "y"))
     ids = whole(table, 0, "the id")
-    _, first = np.unique(ids, return_index=True)
-    table.refuse(~np.isin(np.arange(len(ids)), first), "the id has been there before")
+    table.refuse(repeated(ids), "the id has been there before")
     return LandmarkMap(ids, table.values[:, 1:])
 
 
@@ -166,6 +161,5 @@ def _read_log(path: Path) -> tuple[Table, Table, np.ndarray]:
     seen.refuse(np.abs(seen.values[:, 2]) > geo.TAU, "is the bearing in radians?")
     seen.refuse(np.abs(seen.values[:, 1]) > FARTHEST_SEEN, "is the range in metres?")
     keys = np.column_stack([taken_at, seen.values[:, 0]])
-    _, first = np.unique(keys, axis=0, return_index=True)
-    seen.refuse(~np.isin(np.arange(len(keys)), first), "the id is seen twice after one motion")
+    seen.refuse(repeated(keys), "the id is seen twice after one motion")
     return motions, seen, taken_at
