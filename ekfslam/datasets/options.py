@@ -26,6 +26,20 @@ def variances(sigmas: Sequence[float], count: int, name: str) -> Array:
     return np.diag(array**2)
 
 
+def finite(values: Sequence[float], count: int, name: str) -> Array:
+    """So many finite numbers.
+
+    Raises
+    ------
+    InputError
+        If they are not.
+    """
+    array = checked_array(values, float, (count,), name)
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} must be {count} finite numbers, got {values!r}")
+    return array
+
+
 def positive(value: Any, name: str) -> float:
     """A positive finite number.
 
