@@ -249,12 +249,12 @@ def read(path: str | Path | None) -> Log:
         table.refuse(apart > 1000, said)
     scans.refuse(scans.values[:, 1] != BEAMS, f"number of beams is not {BEAMS}")
     ranges = scans.values[:, 2:]
-    scans.refuse((ranges < 0).any(axis=1), "negative range")
-    scans.refuse((ranges < 100).all(axis=1), "no range reaches 100 mm; are they in millimetres?")
-    scans.refuse((ranges > 1e5).any(axis=1), "range over 100 m; are they in millimetres?")
+    scans.refuse(ranges.min(axis=1) < 0, "negative range")
+    scans.refuse(ranges.max(axis=1) < 100, "no range reaches 100 mm; are they in millimetres?")
+    scans.refuse(ranges.max(axis=1) > 1e5, "range over 100 m; are they in millimetres?")
     ticks = motors.values[:, [1, 5]]
-    jumps = np.abs(np.diff(ticks, axis=0, prepend=ticks[:1])) > 2000
-    motors.refuse(jumps.any(axis=1), "a motor turned by more than 2000 ticks since the row before")
+    jumps = np.abs(np.diff(ticks, axis=0, prepend=ticks[:1])).max(axis=1)
+    motors.refuse(jumps > 2000, "a motor turned by more than 2000 ticks since the row before")
     for table, columns in ((reference, [1, 2]), (cylinders, [0, 1])):
         reach = np.abs(table.values[:, columns]).max(axis=1)
         table.refuse(reach > 1e5, "position over 100 m away; is it in millimetres?")
