@@ -269,6 +269,23 @@ def test_the_names_of_landmarks_change_nothing(kind):
 
 
 @BOTH
+@pytest.mark.parametrize("known", [True, False])
+def test_a_world_that_is_moved_moves_all_that_is_drawn(kind, known):
+    data = two_sensors(seed=5)
+    data = data if known else data.without_identities()
+    motion = np.array([3.0, -2.0, 2.2])
+    one, two = (kind(particles=30).estimate(d) for d in (data, data.moved(motion)))
+    turn = geo.heading_block(motion[2])
+    for mine, theirs in ((one.online, two.online), (one.smoothed, two.smoothed)):
+        off = geo.additive_error(geo.compose(motion, mine.poses), theirs.poses)
+        np.testing.assert_allclose(off, 0, atol=1e-9)
+        moved = geo.congruence(turn, mine.covariances)
+        np.testing.assert_allclose(moved, theirs.covariances, atol=1e-9)
+    moved = geo.from_frame(motion, one.landmarks.positions)
+    np.testing.assert_allclose(moved, two.landmarks.positions, atol=1e-9)
+
+
+@BOTH
 def test_the_order_of_landmarks_in_a_look_does_not_change_weights(kind):
     data = known_headings()
     order = np.lexsort([-np.arange(len(data.observations)), data.observations.step])

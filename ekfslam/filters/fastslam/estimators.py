@@ -14,7 +14,7 @@ from ekfslam.compiled import prepare
 from ekfslam.dataset import Dataset, Sightings
 from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.estimates import Estimate, Trajectory
-from ekfslam.filters.fastslam.gaussians import square_root
+from ekfslam.filters.fastslam.gaussians import square_root, turned
 from ekfslam.filters.fastslam.particles import Cloud, Maps, Paths
 from ekfslam.filters.fastslam.step import Draws, Log, Motion, Scratch, Settings, run
 from ekfslam.filters.fastslam.summary import (
@@ -25,7 +25,7 @@ from ekfslam.filters.fastslam.summary import (
     particle_of_each_step,
     smoothed,
 )
-from ekfslam.geometry import Array, wrap
+from ekfslam.geometry import Array, heading_block, wrap
 from ekfslam.models.sensors import RANGE_BEARING, VIEWS, XY
 from ekfslam.registry import Progress
 
@@ -177,6 +177,7 @@ class Fastslam1:
         means, covariances = work.log.poses, work.log.covariances
         prepare(look_back, work.paths, work.cloud.nodes, work.cloud.weights, means, covariances)
         prepare(square_root, covariances[0], covariances[0])
+        prepare(turned, covariances[0], 0.0, covariances[0])
 
     def _known(self, dataset: Dataset) -> bool:
         """Whether identities are taken from the dataset."""
@@ -290,10 +291,11 @@ def _work(
 
 def _start(dataset: Dataset, cloud: Cloud, random: _Random) -> None:
     """Particles from the prior."""
-    root = np.zeros((3, 3))
-    square_root(dataset.prior.covariance.copy(), root)
+    mean, body, root = dataset.prior.mean.copy(), np.zeros((3, 3)), np.zeros((3, 3))
+    turned(dataset.prior.covariance.copy(), -mean[2], body)
+    square_root(body, root)
     normals = random.start.standard_normal(cloud.poses.shape)
-    cloud.poses[:] = dataset.prior.mean + normals @ root.T
+    cloud.poses[:] = mean + normals @ root.T @ heading_block(mean[2]).T
     cloud.poses[:, 2] = wrap(cloud.poses[:, 2])
 
 

@@ -58,14 +58,29 @@ def turned(Q, heading, P):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def drawn(mean, L, normals, pose):  # type: ignore[no-untyped-def]
-    """``pose = mean + L normals``, in the coordinates of L, the heading wrapped."""
-    for a in range(3):
-        total = mean[a]
-        for k in range(a + 1):
-            total += L[a, k] * normals[k]
-        pose[a] = total
-    pose[2] = wrap(pose[2])
+def drawn(mean, heading, L, normals, pose):  # type: ignore[no-untyped-def]
+    """``pose = mean + B L normals``: a pose whose spread is given in a frame of some heading.
+
+    Roots are taken in the frame of the robot, so that a world that is moved moves all that is
+    drawn.
+
+    Parameters
+    ----------
+    mean : (3,) ndarray
+    heading : float
+        Of the frame, in the world.
+    L : (3, 3) ndarray
+        Lower triangle: root of the covariance in that frame.
+    normals : (3,) ndarray
+    pose : (3,) ndarray
+        Written, its heading wrapped.
+    """
+    x = L[0, 0] * normals[0]
+    y = L[1, 0] * normals[0] + L[1, 1] * normals[1]
+    turn = L[2, 0] * normals[0] + L[2, 1] * normals[1] + L[2, 2] * normals[2]
+    c, s = math.cos(heading), math.sin(heading)
+    pose[0], pose[1] = mean[0] + c * x - s * y, mean[1] + s * x + c * y
+    pose[2] = wrap(mean[2] + turn)
 
 
 class View(NamedTuple):

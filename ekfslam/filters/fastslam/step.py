@@ -201,7 +201,7 @@ def run(  # type: ignore[no-untyped-def]
     particles, components = cloud.weights.size, motion.cumulative.size
     roots = np.zeros((components, POSE, POSE))
     mean, P, L = np.empty(POSE), np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
-    noise, sure = np.empty(POSE), np.zeros((POSE, POSE))
+    body, sure = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
     room = np.empty(2), np.empty((2, 3)), np.empty((2, 2))  # of a landmark that is new
     for k in range(start, stop):
         begin = now()
@@ -222,16 +222,15 @@ def run(  # type: ignore[no-untyped-def]
             pose, normals = cloud.poses[i], draws.normals[at, i]
             if not settings.known:
                 scratch.choice[:rows] = UNDECIDED
-            if settings.informed and rows > 0:  # x ~ p(x | pose, u, z)
-                mean[:] = pose
-                advance(mean, 0, motion.deltas[c, k])
-                turned(motion.covariances[c, k], pose[2], P)
+            mean[:], heading, root = pose, pose[2], roots[c]
+            advance(mean, 0, motion.deltas[c, k])
+            if settings.informed and rows > 0:  # x ~ p(x | pose, u, z); else p(x | pose, u)
+                turned(motion.covariances[c, k], heading, P)
                 propose(i, mean, P, first, last, sightings, logdets, cloud, maps, settings, scratch)
-                square_root(P, L)
-                drawn(mean, L, normals, pose)
-            else:  # x ~ p(x | pose, u)
-                drawn(motion.deltas[c, k], roots[c], normals, noise)
-                advance(pose, 0, noise)
+                turned(P, -heading, body)
+                square_root(body, L)
+                root = L
+            drawn(mean, heading, root, normals, pose)
             observe(
                 i, pose, sure, first, last, sightings, logdets, cloud, maps, settings, log,
                 scratch, room,
