@@ -47,8 +47,8 @@ class EkfLocalization:
     innovation is outside the gate. Where more than half of the sightings are odd, of the run or of
     the last 50, a message says so. The status is `diverged` if all of the run are; or if more than
     half of the last 50 are and, where identities are not known, more than half of the landmarks of
-    the map that the sensors should have seen then, from the estimated poses, were not matched. Else
-    the map may just be a part of the world.
+    the map that the sensors should have seen from the estimated poses, in these looks or in all,
+    were not matched. Else the map may just be a part of the world.
 
     Parameters
     ----------
@@ -241,7 +241,8 @@ def verdict(dataset: Dataset, known: LandmarkMap, matching: Matching, log: Log) 
     of = recent if now and not ever else rows
     count = f"{odd[of].sum()} of {'the last ' if len(of) < len(rows) else ''}{len(of)} sightings"
     what = "do not fit their landmarks" if by_identity else "match no landmark of the map"
-    if odd[rows].all() or (now and (by_identity or _blind(dataset, known, log, recent))):
+    lost = odd[rows].all() or (now and by_identity)
+    if lost or (now and any(_blind(dataset, known, log, some) for some in (recent, rows))):
         return DIVERGED, f"{count} {what}: lost, or the start was far off"
     why = "the start was far off" if by_identity else "the map is a part of the world"
     return OK, f"{count} {what}: {why}, or the robot was lost"
@@ -260,10 +261,12 @@ def _squared(log: Log) -> Array:
 
 def _blind(dataset: Dataset, known: LandmarkMap, log: Log, rows: np.ndarray) -> bool:
     """Whether more than half of what the looks of some rows should have shown was not matched."""
-    seen, looks = dataset.observations, dataset.sightings.look[rows]
+    seen = dataset.observations
+    first = rows[np.unique(dataset.sightings.look[rows], return_index=True)[1]]
     expected = 0
-    for row in rows[np.unique(looks, return_index=True)[1]]:
-        pose = log.poses[seen.robot[row], seen.step[row]]
-        expected += int(dataset.sensors[seen.sensor[row]].sees(pose, known.positions).sum())
+    for index, sensor in enumerate(dataset.sensors):
+        mine = first[seen.sensor[first] == index]
+        poses = log.poses[seen.robot[mine], seen.step[mine]]
+        expected += int(sensor.sees(poses[:, None], known.positions).sum())
     matched = int((log.decision[rows] == Decision.ACCEPTED).sum())
     return 2 * (expected - matched) > expected
