@@ -28,8 +28,9 @@ from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.datasets.catalogue import files_of
 from ekfslam.datasets.graph_files import ISAM, graph_of
+from ekfslam.datasets.graph_parts import Edges, Graph
 from ekfslam.datasets.places import there
-from ekfslam.datasets.pose_graph import Edges, Graph, dataset_of
+from ekfslam.datasets.pose_graph import dataset_of
 from ekfslam.errors import FileFormatError
 from ekfslam.robots import LandmarkMap
 

@@ -35,8 +35,9 @@ of the dataset if they are not all the same; PyFactorGraph writes true values as
 ``truth=True`` is for its files. All other values of vertices are what an optimiser is to start
 from, and are not used, but for that of the first pose.
 
-What `ekfslam.export.write_g2o` writes loads back: one robot or several with equally many poses;
-sightings as x and y in the body frame; landmarks numbered as the vertices are; times as steps.
+What `ekfslam.export.write_g2o` writes loads back: all robots; sightings as x and y in the body
+frame, of one sensor, or of several where a landmark is seen more than once from a pose; landmarks
+numbered as the vertices are; times as steps.
 """
 
 from __future__ import annotations
@@ -49,8 +50,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ekfslam.dataset import Dataset
-from ekfslam.datasets.graph_records import NOISES, VAGUEST, Rows, Tag, read, triangle, whole_number
-from ekfslam.datasets.pose_graph import (
+from ekfslam.datasets.graph_parts import (
     NO_PRIORS,
     NO_VERTICES,
     ROBOT,
@@ -58,9 +58,11 @@ from ekfslam.datasets.pose_graph import (
     Graph,
     Seen,
     Vertices,
-    dataset_of,
     repeated,
+    some,
 )
+from ekfslam.datasets.graph_records import NOISES, VAGUEST, Rows, Tag, read, triangle, whole_number
+from ekfslam.datasets.pose_graph import dataset_of
 from ekfslam.errors import FileFormatError, InputError
 
 ENDS = ("i", "j")
@@ -262,7 +264,7 @@ def graph_of(path: Path, how: Format, noise: str | None = None) -> Graph:
             beyond += [
                 (line, "a sighting of a pose") for line in seen.edges.line[of_poses].tolist()
             ]
-            sightings.append(seen._replace(edges=_some(seen.edges, ~of_poses)))
+            sightings.append(seen._replace(edges=some(seen.edges, ~of_poses)))
     return Graph(
         path=path,
         motions=_joined([_edges(rows[tag], noise, order=how.order) for tag in how.motions]),
@@ -312,7 +314,7 @@ def _joined(edges: list[Edges]) -> Edges:
     """Those of several tags, in the order of the file, without their times."""
     columns = [np.concatenate(column) for column in zip(*(e[:5] for e in edges), strict=True)]
     line, start, end, values, covariances = columns
-    return _some(Edges(line, start, end, values, covariances), np.argsort(line))
+    return some(Edges(line, start, end, values, covariances), np.argsort(line))
 
 
 def _seen(rows: Rows, kind: str, noise: str, offsets: Rows | None) -> list[Seen]:
@@ -333,16 +335,9 @@ def _seen(rows: Rows, kind: str, noise: str, offsets: Rows | None) -> list[Seen]
     which = rows.ids[:, 2]
     rows.refuse(~np.isin(which, list(mounts)), "an offset of which there are no PARAMS_SE2OFFSET")
     return [
-        Seen(kind, _some(edges, which == one), tuple(mounts[one]), f"offset-{one}")
+        Seen(kind, some(edges, which == one), tuple(mounts[one]), f"offset-{one}")
         for one in np.unique(which).tolist()
     ]
-
-
-def _some(edges: Edges, rows: np.ndarray) -> Edges:
-    """Some of the rows."""
-    line, start, end, values, covariances = (column[rows] for column in edges[:5])
-    time = None if edges.time is None else edges.time[rows]
-    return Edges(line, start, end, values, covariances, time)
 
 
 def _vertices(rows: Rows | None) -> Vertices:

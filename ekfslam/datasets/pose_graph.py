@@ -17,118 +17,22 @@ tangent), in the frame of a by iSAM (added to the increment, as in `Robot.covari
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
+from ekfslam.datasets.graph_parts import ROBOT, Graph, Vertices, repeated
+from ekfslam.datasets.graph_sightings import sightings_of
 from ekfslam.errors import FileFormatError, InputError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import MotionModel
-from ekfslam.models.sensors import Sensor
-from ekfslam.observations import Observations, padded
+from ekfslam.observations import Observations
 from ekfslam.robots import LandmarkMap, Prior, Robot
 
 EQUAL = 1e-9  # covariances that differ by no more, relative to their deviations, are one
-ROBOT = 1 << 40  # ids of the poses of robot r are from r ROBOT on
-
-
-class Edges(NamedTuple):
-    """Measurements between two things, or, with the same on both ends, of one.
-
-    Attributes
-    ----------
-    line : (n,) ndarray of int
-        Of the file.
-    start, end : (n,) ndarray of int
-        Ids of poses; the end of a sighting is a landmark.
-    values : (n, d) ndarray
-        End in the frame of start, or what a sensor at start reports of it.
-    covariances : (n, d, d) or (d, d) ndarray
-        Of each, or of all.
-    time : (n,) ndarray, optional
-        [s].
-    """
-
-    line: np.ndarray
-    start: np.ndarray
-    end: np.ndarray
-    values: Array
-    covariances: Array
-    time: Array | None = None
-
-
-class Vertices(NamedTuple):
-    """Values of poses or landmarks that a file gives to start from.
-
-    Attributes
-    ----------
-    line, ids : (n,) ndarray of int
-    values : (n, d) ndarray
-    time : (n,) ndarray, optional
-        [s].
-    """
-
-    line: np.ndarray
-    ids: np.ndarray
-    values: Array
-    time: Array | None = None
-
-
-NO_ROWS = np.zeros(0, dtype=np.int64)
-NO_VERTICES = Vertices(NO_ROWS, NO_ROWS, np.zeros((0, 2)))
-NO_PRIORS = Edges(NO_ROWS, NO_ROWS, NO_ROWS, np.zeros((0, 3)), np.zeros((0, 3, 3)))
-
-
-class Seen(NamedTuple):
-    """Sightings of one sensor."""
-
-    kind: str
-    edges: Edges
-    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    name: str = "sensor"
-
-
-class Graph(NamedTuple):
-    """What a file holds.
-
-    Attributes
-    ----------
-    path : Path
-    motions : Edges
-    sightings : sequence of Seen
-    frame : {"first", "second"}
-        Pose in whose frame the noise of a motion is, see above.
-    poses, landmarks : Vertices
-        If there is one, all of its kind are there.
-    fixed : Vertices
-        Poses and landmarks that are held where they are; without values.
-    priors : Edges
-        Of poses.
-    beyond : sequence of (int, str)
-        Further lines that a dataset has no place for, and what they are.
-    named : callable
-        How the file calls a pose.
-    """
-
-    path: Path
-    motions: Edges
-    sightings: Sequence[Seen]
-    frame: str
-    poses: Vertices = NO_VERTICES
-    landmarks: Vertices = NO_VERTICES
-    fixed: Vertices = NO_VERTICES
-    priors: Edges = NO_PRIORS
-    beyond: Sequence[tuple[int, str]] = ()
-    named: Callable[[int], str] = str
-
-    def refuse(self, line: np.ndarray, bad: np.ndarray, said: Callable[[int], str]) -> None:
-        """Name the line of the first bad row, if there is one; `said` takes the row."""
-        for row in np.flatnonzero(bad)[:1].tolist():
-            raise FileFormatError(f"{self.path}, line {line[row]}: {said(row)}")
 
 
 class _Drives(NamedTuple):
@@ -185,8 +89,8 @@ def dataset_of(
         raise InputError(f"unsupported must be 'refuse' or 'drop', got {unsupported!r}")
     beyond = list(graph.beyond)
     drives = _drives(graph, beyond)
-    times, timed = _times(graph, drives)
-    sensors, observations = _sightings(graph, drives, timed)
+    times = _times(graph, drives)
+    sensors, observations = sightings_of(graph, drives.order, drives.robots, times)
     priors, said = _priors(graph, drives, beyond)
     notes = [_counts(drives, observations), *said]
     if beyond:
@@ -217,7 +121,7 @@ def dataset_of(
     return Dataset(
         name=name,
         robots=robots,
-        times=times,
+        times=np.arange(drives.deltas.shape[1] + 1.0) if times is None else times,
         sensors=sensors,
         observations=observations,
         known_map=_map(known, positions) if known else None,
@@ -338,11 +242,11 @@ def _forward(graph: Graph, rows: np.ndarray, turned: np.ndarray) -> tuple[Array,
     )
 
 
-def _times(graph: Graph, drives: _Drives) -> tuple[Array, bool]:
-    """Times of the poses, and whether they are those of the file."""
+def _times(graph: Graph, drives: _Drives) -> Array | None:
+    """Times of the poses, if the file has them."""
     steps, time = len(drives.order) // drives.robots, graph.poses.time
     if time is None or not np.ptp(time):
-        return np.arange(steps, dtype=float), False
+        return None
     at = np.argsort(graph.poses.ids)
     times = time[at].reshape(drives.robots, steps)
     late = np.zeros(times.shape, dtype=bool)
@@ -356,7 +260,7 @@ def _times(graph: Graph, drives: _Drives) -> tuple[Array, bool]:
             "come after that of the pose before, or is not that of the other robots"
         ),
     )
-    return times[0], True
+    return times[0]
 
 
 def _priors(
@@ -391,87 +295,6 @@ def _priors(
     return [exact[one] if one in held else priors.get(one, exact[one]) for one in starts], notes
 
 
-# Sightings ----------------------------------------------------------------------------------------
-
-
-def _sightings(
-    graph: Graph, drives: _Drives, timed: bool
-) -> tuple[tuple[Sensor, ...], Observations]:
-    """Sensors, and their sightings in order of step."""
-    steps = len(drives.order) // drives.robots
-    sensors, columns = [], []
-    per_row = any(seen.edges.covariances.ndim == 3 for seen in graph.sightings)
-    for index, seen in enumerate(graph.sightings):
-        edges = seen.edges
-        at = np.searchsorted(drives.order, edges.start)
-        absent = drives.order[np.minimum(at, len(drives.order) - 1)] != edges.start
-        _check_sightings(graph, seen, absent, timed)
-        size = edges.values.shape[1]
-        noise = np.broadcast_to(edges.covariances, (len(at), size, size))
-        # Where each sighting has its own, the sensor's is for show.
-        one = edges.covariances if edges.covariances.ndim == 2 else _first(edges.covariances)
-        sensors.append(Sensor(seen.kind, one, mount=np.array(seen.mount), name=seen.name))
-        columns.append(
-            (
-                at % steps,
-                padded(edges.values),
-                edges.end,
-                np.full(len(at), index),
-                at // steps,
-                edges.time if timed and edges.time is not None else np.zeros(len(at)),
-                padded(noise, axes=2),
-            )
-        )
-    step, values, landmark, sensor, robot, time, noise = (
-        np.concatenate(column) for column in zip(*columns, strict=True)
-    )
-    order = np.lexsort([time, step])
-    return tuple(sensors), Observations(
-        step[order],
-        values[order],
-        landmark[order],
-        sensor[order],
-        robot[order],
-        time[order] if timed else None,
-        noise[order] if per_row else None,
-    )
-
-
-def _check_sightings(graph: Graph, seen: Seen, absent: np.ndarray, timed: bool) -> None:
-    """Refuse what no sensor can report."""
-    edges, named = seen.edges, graph.named
-    graph.refuse(
-        edges.line,
-        absent,
-        lambda row: (
-            f"landmark {edges.end[row]} is seen from pose {named(edges.start[row])}, "
-            "which has no odometry"
-        ),
-    )
-    if len(graph.landmarks.ids):
-        graph.refuse(
-            edges.line,
-            ~np.isin(edges.end, graph.landmarks.ids),
-            lambda row: f"of landmark {edges.end[row]} there is no vertex",
-        )
-    if "range" in seen.kind:
-        graph.refuse(edges.line, edges.values[:, 0] < 0, lambda row: "a negative range")
-    if "bearing" in seen.kind:
-        graph.refuse(
-            edges.line,
-            np.abs(edges.values[:, -1]) > geo.TAU,
-            lambda row: f"a bearing of {edges.values[row, -1]:g} is none in radians",
-        )
-    keys = [edges.start, edges.end]
-    if timed and edges.time is not None:
-        keys.append(np.unique(edges.time, return_inverse=True)[1])
-    graph.refuse(
-        edges.line,
-        repeated(np.column_stack(keys)),
-        lambda row: f"landmark {edges.end[row]} is seen twice from pose {named(edges.start[row])}",
-    )
-
-
 # Small things -------------------------------------------------------------------------------------
 
 
@@ -482,16 +305,6 @@ def _motion_model(covariances: Array) -> tuple[MotionModel, Array | None]:
     scale = np.sqrt(np.where(variances > 0, variances, 1.0))
     apart = np.abs(covariances - one) / (scale[:, None] * scale)
     return MotionModel("odometry", one), None if (apart <= EQUAL).all() else covariances
-
-
-def repeated(keys: np.ndarray) -> np.ndarray:
-    """Whether each row has been there before."""
-    _, first = np.unique(keys, axis=0, return_index=True)
-    return ~np.isin(np.arange(len(keys)), first)
-
-
-def _first(covariances: Array) -> Array:
-    return covariances[0] if len(covariances) else np.zeros(covariances.shape[1:])
 
 
 def _values(vertices: Vertices) -> dict[int, Array]:

@@ -27,8 +27,9 @@ import numpy as np
 from ekfslam.checks import checked_array
 from ekfslam.dataset import Dataset
 from ekfslam.datasets.catalogue import files_of
+from ekfslam.datasets.graph_parts import Edges, Graph, Seen
 from ekfslam.datasets.graph_records import Rows, Tag, read, triangle
-from ekfslam.datasets.pose_graph import Edges, Graph, Seen, dataset_of
+from ekfslam.datasets.pose_graph import dataset_of
 from ekfslam.errors import InputError
 from ekfslam.geometry import Array
 
