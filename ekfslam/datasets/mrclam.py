@@ -41,17 +41,16 @@ Ranges spread by 0.04 r, and 0.07 m at 1.5 m; the variance is ``0.05^2 + (0.04 r
 a few centimetres, other for each robot, and not taken off unless `range_bias` says so (on average
 -0.012 r). **Range errors are not white**: those of one landmark correlate by 0.94 within a second,
 and by 0.3 to 0.5 after five. So sightings of one thing by one robot within five seconds count as
-one: each has the covariance times their number (`correlated`). Nothing is left out, and a filter's
-errors come nearer to what it claims (mean NEES of a pose, EKF over ten robots: 7.0 for 19.4), while
-the NIS, of each sighting alone, is small. `every=5` leaves one sighting in five seconds instead, and
-then the NIS is 1.0 per degree of freedom.
+one: each has the covariance times their number (`correlated`). Nothing is left out, and errors of a
+filter come nearer to what it claims (mean NEES of a pose, EKF over ten robots: 7.0 for 19.4); the
+NIS, of each sighting alone, is small then. `every=5` leaves one sighting in five seconds instead,
+and the NIS is 1.0 per degree of freedom.
 
 Barcodes are misread now and then, up to nine times in a run: the bearing is off by more than
-`misread_beyond` from where the truth has what was read, mostly by much more. One such sighting spoils
-a filter that is told whom it saw. Since association is given, these are left out where the truth is
-known, which knows them; `misread_beyond=3.2` leaves them in, for estimators with gates or robust
-losses. Barcodes that are in no table, and a robot's own, are left out too, and all is counted in
-the notes.
+`misread_beyond` from where the truth has what was read, mostly by much more. One such sighting
+spoils a filter that is told whom it saw. Since association is given, they are left out where the
+truth is known; `misread_beyond=3.2` leaves them in, for estimators with gates or robust losses.
+Barcodes that are in no table, and a robot's own, are left out too; the notes count all of it.
 """
 
 from __future__ import annotations
@@ -201,15 +200,7 @@ def load(
         raise InputError(f"there are MRCLAM 1 to 9, not {number!r}")
     if part is not None and part not in [f"robot{robot}" for robot in ROBOTS]:
         raise UnknownNameError("part of MRCLAM", part, [f"robot{robot}" for robot in ROBOTS])
-    if positive(step, "step") < FINEST:
-        raise InputError(f"step must be {FINEST} s at least, got {step}")
-    for option, value in (("every", every), ("correlated", correlated)):
-        if not 0 <= checked_number(value, option) < np.inf:
-            raise InputError(f"{option} must be a time from 0 on, got {value}")
-    positive(misread_beyond, "misread_beyond")
-    for option, scale in (("v_scale", v_scale), ("w_scale", w_scale)):
-        if scale is not None:
-            positive(scale, option)
+    _check(step, every, correlated, misread_beyond, v_scale, w_scale)
     small = checked_array((lag, image_shift, *range_bias), float, (4,), "lag, shift and bias")
     if not (np.abs(small) < LARGEST).all():
         raise InputError("lag and image_shift must be below 10 s, range_bias below 10 m and 1")
@@ -259,6 +250,26 @@ def load(
     )
 
 
+def _check(
+    step: float,
+    every: float,
+    correlated: float,
+    misread_beyond: float,
+    v_scale: float | None,
+    w_scale: float | None,
+) -> None:
+    """Refuse options that make no sense."""
+    if positive(step, "step") < FINEST:
+        raise InputError(f"step must be {FINEST} s at least, got {step}")
+    for option, time in (("every", every), ("correlated", correlated)):
+        if not 0 <= checked_number(time, option) < np.inf:
+            raise InputError(f"{option} must be a time from 0 on, got {time}")
+    positive(misread_beyond, "misread_beyond")
+    for option, scale in (("v_scale", v_scale), ("w_scale", w_scale)):
+        if scale is not None:
+            positive(scale, option)
+
+
 def _logs(beside: Path, part: str | None, who: Who) -> tuple[list[Log], str]:
     """The logs of those who take part, and a word on those who do not."""
     wanted = [robot for robot in ROBOTS if part in (None, f"robot{robot}")]
@@ -267,7 +278,7 @@ def _logs(beside: Path, part: str | None, who: Who) -> tuple[list[Log], str]:
     if not logs:
         files = " and ".join(f"Robot{wanted[0]}_{kind}.dat" for kind in ("Odometry", "Measurement"))
         raise FileFormatError(f"{beside.parent}: has no {files}{' (nor of others)' * (not part)}")
-    absent = [f"robot{robot} (no files)" for robot in wanted if not found[robot]]
+    absent = [f"robot{robot} (no odometry or no sightings)" for robot in wanted if not found[robot]]
     if part is None:
         placed = [log for log in logs if len(log.truth)]
         if not placed:

@@ -254,8 +254,10 @@ def _read(path: Path, kind: str) -> Table:
 def _in_order(table: Table) -> Table:
     """Rows in order of time; stamps may repeat or go back a little, and then keep their order."""
     time = table.values[:, 0]
-    back = np.diff(time, prepend=time[0]) < -BACKWARDS
-    table.refuse(back, f"time goes back by more than {BACKWARDS:g} s")
+    table.refuse(
+        time < np.maximum.accumulate(time) - BACKWARDS,
+        f"time goes back by more than {BACKWARDS:g} s",
+    )
     return table.rows(np.argsort(time, kind="stable"))
 
 
