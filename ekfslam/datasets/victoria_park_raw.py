@@ -151,7 +151,7 @@ def load(
     prior_noise = variances(prior_sigmas, 3, "prior_sigmas")
     odometry, fixes, trees = _read(path)
     start, end = odometry.values[0, 0], odometry.values[-1, 0] + ROW
-    scanned = trees.values[:, 1] - clock
+    scanned = np.round(trees.values[:, 1] - clock, 6)
     scans = np.unique(scanned)
     times = thinned(scans[(scans >= start) & (scans <= end)], step)
     if not len(times):
@@ -312,9 +312,8 @@ def _read(path: str | Path | None) -> Files:
     number, time, distance, bearing, diameter = trees.values.T
     whole(trees, 0, "the scan")
     change, passed = np.diff(number, prepend=number[0]), np.diff(time, prepend=time[0])
-    trees.refuse(change < 0, "the scan's number goes back")
-    trees.refuse((change > 0) & (passed <= 0), "time does not increase")
-    trees.refuse((change == 0) & (passed != 0), "two times in one scan")
+    apart = (change < 0) | ((change > 0) & (passed <= 0)) | ((change == 0) & (passed != 0))
+    trees.refuse(apart, "scan and time do not go on together, a time for each scan")
     trees.refuse((distance <= 0) | (distance > 100), "is the range in metres?")
     trees.refuse((bearing < -0.01) | (bearing > np.pi + 0.01), "is the bearing in radians?")
     trees.refuse((diameter < 0) | (diameter > 20), "is the diameter in metres?")
