@@ -226,6 +226,14 @@ def test_line_ends_blank_lines_and_compression_do_not_matter(tmp_path, write, na
             np.testing.assert_array_equal(data.observations.values, plain.observations.values)
 
 
+def test_options_may_follow_the_name_of_a_graph(write):
+    path = write(G2O + "EDGE_SE2 2 0 1 1 1 5 0 0 5 0 5\n", "small.g2o")
+    data = ekfslam.load(f"{path}(unsupported=drop, truth=True)")
+    assert data.poses == len(data.truth) == 3
+    with pytest.raises(InputError, match=r"small\.g2o: .*'loops'"):
+        ekfslam.load(f"{path}(loops=drop)")
+
+
 def test_graphs_are_opened_by_their_names(write):
     assert ekfslam.load(write(G2O, "small.g2o")).poses == 3
     assert ekfslam.load(str(write(PYFG, "small.pyfg"))).poses == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 
 from ekfslam.dataset import Dataset
@@ -25,7 +26,8 @@ def open_dataset(
         A scenario or its TOML file (simulated with `seed`), a recorded set, a file written by
         `Dataset.save` (``.npz``), or a graph file (``.g2o``, ``.graph``, ``.pyfg``). Options of
         its loader may follow the name of a recorded set, as in ``victoria-park(noise=file)``, and
-        become part of the dataset's name.
+        become part of the dataset's name, or that of a graph file, as in
+        ``loop.g2o(unsupported=drop)``.
     seed : int
         Of a simulation.
     path : path, optional
@@ -49,8 +51,8 @@ def open_dataset(
         raise InputError(f"a path is for recorded datasets, not for {name}")
     if name.endswith(".npz"):
         return Dataset.load(name)
-    if name.endswith(GRAPHS):
-        return load_graph(name)
+    if name.partition("(")[0].strip().endswith(GRAPHS):
+        return _graph(name)
     if name in scenarios() or name.endswith(".toml"):
         return simulate(name, seed=seed)
     if name and Path(name).exists():
@@ -59,3 +61,13 @@ def open_dataset(
             f"{', '.join(GRAPHS)}"
         )
     raise UnknownNameError("dataset", name, [*scenarios(), *RECORDED])
+
+
+def _graph(name: str) -> Dataset:
+    """The dataset of a graph file, whose options may follow its name."""
+    call = parse(name)
+    try:
+        signature(load_graph).bind(call.name, **call.options)
+    except TypeError as error:
+        raise InputError(f"{call.name}: {error}") from None
+    return load_graph(call.name, **call.options)
