@@ -253,6 +253,44 @@ def partial(
     print(f"{len(files)} files in {out}: {', '.join(path.name for path in files)}")
 
 
+@study.command()
+def recorded(
+    datasets: Annotated[
+        list[str] | None,
+        typer.Argument(help="Some of the sets; all that are here by default.", show_default=False),
+    ] = None,
+    estimators: Annotated[
+        str | None,
+        typer.Option(help="Separated by commas; all by default.", show_default=False),
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the recorded sets.", show_default=False),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for CSVs, configuration and figures.")] = Path(
+        "results/recorded"
+    ),
+) -> None:
+    """All estimators on all recorded sets; what cannot apply is a row that says why.
+
+    [bold]Examples[/bold]
+
+      ekfslam study recorded --data recorded
+
+      ekfslam study recorded lego car-park --estimators ekf-localization,ekf --out results/mine
+    """
+    from ekfslam.experiments.recorded import ESTIMATORS, recorded_study
+    from ekfslam.registry import split
+
+    names = ESTIMATORS if estimators is None else split(estimators)
+    with progress() as watch:
+        found = recorded_study(out, datasets, names, path=data, watch=watch)
+    print_summary(found.summary, found.notes)
+    for name, why in found.missing.items():
+        print(f"not here: {name} ({why})")
+    print(f"tables and figures in {out}")
+
+
 @app.command()
 def check(
     estimator: Annotated[str, typer.Argument(help="A name, or module:Class.")],

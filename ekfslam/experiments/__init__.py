@@ -5,6 +5,7 @@ from ekfslam.experiments.campaign import Campaign
 from ekfslam.experiments.compare import Comparison, compare
 from ekfslam.experiments.partial import PartialStudy, partial_study
 from ekfslam.experiments.reading import load_campaign
+from ekfslam.experiments.recorded import RecordedStudy, recorded_study
 from ekfslam.experiments.results import CampaignResults, read_campaign
 from ekfslam.experiments.running import run_campaign
 
@@ -14,10 +15,12 @@ __all__ = [
     "CampaignResults",
     "Comparison",
     "PartialStudy",
+    "RecordedStudy",
     "association_study",
     "compare",
     "load_campaign",
     "partial_study",
     "read_campaign",
+    "recorded_study",
     "run_campaign",
 ]

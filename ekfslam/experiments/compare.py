@@ -110,7 +110,9 @@ class Comparison:
 
         return plot_times(self._of(self.trajectories, self._name(dataset)))
 
-    def save(self, folder: str | Path, figures: bool = True) -> list[Path]:
+    def save(
+        self, folder: str | Path, figures: bool = True, kept: Sequence[str] = tuple(tables.SCHEMAS)
+    ) -> list[Path]:
         """Write tables (CSV), configuration (JSON) and figures (PNG and PDF).
 
         The folder is made if needed. Files appear when all of them have been written; if anything
@@ -120,6 +122,8 @@ class Comparison:
         ----------
         folder : path
         figures : bool
+        kept : sequence of str
+            Names of the tables; all by default.
 
         Returns
         -------
@@ -131,10 +135,10 @@ class Comparison:
         InputError
             If the folder cannot be written to.
         """
-        return write_together(folder, lambda place: self._write(place, figures))
+        return write_together(folder, lambda place: self._write(place, figures, kept))
 
-    def _write(self, folder: Path, figures: bool) -> None:
-        for name in tables.SCHEMAS:
+    def _write(self, folder: Path, figures: bool, kept: Sequence[str]) -> None:
+        for name in kept:
             getattr(self, name).to_csv(folder / f"{name}.csv", index=False)
         (folder / "config.json").write_text(json.dumps(self.config, indent=2) + "\n")
         for name, dataset in self.datasets.items() if figures else ():

@@ -136,7 +136,7 @@ def isolated(values: Array) -> np.ndarray:
     (n,) ndarray of bool
     """
     known = np.isfinite(values)
-    known = known.all(axis=1) if values.ndim > 1 else known
+    known = np.asarray(known.all(axis=1)) if values.ndim > 1 else known
     beside = np.concatenate([[False], known, [False]])
     return known & ~beside[:-2] & ~beside[2:]
 
