@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from scipy.io import loadmat
 
+from ekfslam.datasets.mat5 import arrays_in
 from ekfslam.errors import FileFormatError
 from ekfslam.geometry import Array
 
@@ -37,23 +37,23 @@ def read_arrays(
     if not path.is_file():
         raise FileFormatError(f"{path}: no such file")
     try:
-        content = loadmat(str(path), appendmat=False, variable_names=list(shapes))
-    except Exception as error:  # scipy raises many kinds for what is no .mat file
-        said = " ".join(str(error).split())[:200]
-        raise FileFormatError(f"{path}: cannot be read ({said})") from None
+        content = arrays_in(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise FileFormatError(f"{path}: cannot be read ({error})") from None
     arrays = {}
     for name, shape in shapes.items():
         if name not in content:
             raise FileFormatError(f"{path}: has no array {name}")
-        array = np.asarray(content[name])
+        array = content[name]
+        if array is None:
+            raise FileFormatError(f"{path}: {name} is no array of real numbers")
         fits = array.ndim == 2 and all(
             want is None or want == got for want, got in zip(shape, array.shape, strict=True)
         )
-        if array.dtype.kind not in "iuf" or not fits:
+        if not fits:
             wanted = " x ".join("n" if want is None else str(want) for want in shape)
             raise FileFormatError(
-                f"{path}: {name} must be numbers, {wanted}, got {array.dtype} of shape "
-                f"{array.shape}"
+                f"{path}: {name} must be numbers, {wanted}, got an array of shape {array.shape}"
             )
         arrays[name] = array.astype(float)
         refuse(path, name, ~np.isfinite(arrays[name]).all(axis=1), "NaN or infinite value")
