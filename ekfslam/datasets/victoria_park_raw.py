@@ -34,13 +34,13 @@ map of a smoother says that its heading is off by 0.02 rad.
 
 Noise
 -----
-Smoothed by iSAM2 with the association of an EKF, odometry errors are a walk of 0.02 m along, 0.03
-to 0.04 m across and 0.005 to 0.006 rad per scan of 0.21 s; its components with a mean, 0.008 m to
-the left and 0.0005 rad per scan, are left in. The default, 0.5 m/s and 0.08 rad in each row of
-25 ms, taken as independent, makes 0.04 m along and 0.006 rad at 3 m/s; a further 0.01 m, 0.02 m,
-0.001 rad per step stand for slip, and for a car that stands. Sightings of trees then spread by
-0.11 m (robustly 0.06 m) and 0.006 rad (robustly 0.004 rad); 0.2 m and 0.015 rad are the default,
-since trunks are seen from all sides and a scan takes time.
+Smoothed by iSAM2 with the association of a filter, odometry errors are a walk of 0.02 m along, 0.03
+to 0.04 m across and 0.005 to 0.006 rad per scan of 0.21 s; their mean, 0.01 m to the left and
+0.0005 rad per scan, is left in. The default, 0.5 m/s and 0.08 rad in each row of 25 ms, taken as
+independent, makes 0.04 m along and 0.006 rad at 3 m/s; a further 0.01 m, 0.02 m, 0.001 rad per step
+stand for slip, and for a car that stands. Sightings of trees then spread by 0.10 m (robustly
+0.06 m) and 0.005 rad (robustly 0.003 rad); 0.2 m and 0.015 rad are the default, since trunks are
+seen from all sides and a scan takes time.
 """
 
 from __future__ import annotations
