@@ -94,7 +94,7 @@ def test_what_is_no_cylinder_is_not_found(scan):
 
 
 def test_a_fall_and_a_rise_of_different_scans_make_no_cylinder():
-    scans = [[2.0] * 4 + [1.0] * 4, [1.0] * 4 + [2.0] * 4]
+    scans = [[2.0] * 2 + [1.0] * 6, [1.0] * 6 + [2.0] * 2]
     assert len(find_cylinders(scans, 0.2).scan) == 0
     assert len(find_cylinders([scans[0] + scans[1]], 0.2).scan) == 1
 

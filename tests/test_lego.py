@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import os
-from functools import cache
 
 import fuzz
 import numpy as np
@@ -22,9 +20,6 @@ CYLINDERS = np.array([[1.3, 1.9], [0.5, 0.7], [1.2, 0.75], [1.7, 1.05], [0.4, 1.
 STEP = 250  # ms
 FILES = ("robot4_motors.txt", "robot4_scan.txt", "robot4_reference.txt")
 MAP = "robot_arena_landmarks.txt"
-recorded = pytest.mark.skipif(
-    not os.environ.get("EKFSLAM_DATA"), reason="EKFSLAM_DATA names no folder of recorded sets"
-)
 
 
 def drive(rng, rows=12):
@@ -316,32 +311,34 @@ def test_identities_are_told_though_headings_drift(rng):
     lonely = apart.min(axis=1)[which] > 1.5
     assert_array_equal(found[lonely], which[lonely])
     assert set(found[found != which]) <= {-1}
+    alone = identified(drifting, step, points, landmarks, 0.5, 0, 1.2)
+    assert np.mean(alone == which) > 0.6  # three sightings of one step nearly always suffice
     # Beyond what is looked for, there is nothing.
     assert np.mean(identified(drifting, step, points, landmarks, 0.5, 4, 0.1) == which) < 0.5
 
 
 def test_what_is_in_doubt_has_no_identity():
-    poses = np.array([[0.0, 0.0, 0.0], [np.nan, np.nan, 0.0]])
+    unknown = np.nan, np.nan, 0.0
+    poses = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], unknown])
     landmarks = np.array([[1.0, 0.0], [1.0, 1.0], [9.0, 9.0]])
-    points = np.array([[1.0, 0.0], [1.1, 0.0], [1.0, 0.45], [5.0, 5.0], [1.0, 1.0], [1.0, 0.0]])
-    step = np.array([0, 0, 0, 0, 0, 1])
-    # Twice the first landmark: the nearer one; between two; near none; the second; unknown pose.
-    assert_array_equal(
-        identified(poses, step, points, landmarks, 0.6, 0, 0.0), [0, -1, -1, -1, 1, -1]
-    )
+    cases = [
+        (0, (1.0, 0.0), 0),
+        (0, (1.1, 0.0), -1),  # the first landmark, too, but not as near
+        (0, (5.0, 5.0), -1),  # near none
+        (0, (1.0, 1.0), 1),
+        (1, (1.0, 0.45), -1),  # between two
+        (1, (1.0, 0.7), 1),
+        (2, (1.0, 0.0), -1),  # from an unknown pose
+    ]
+    step, points, expected = map(np.array, zip(*cases, strict=True))
+    assert_array_equal(identified(poses, step, points, landmarks, 0.6, 0, 0.0), expected)
 
 
 # The log itself -----------------------------------------------------------------------------------
 
 
-@cache
-def real():
-    return load_recorded("lego")
-
-
-@recorded
-def test_the_whole_log_is_there():
-    dataset = real()
+def test_the_whole_log_is_there(recorded_data):
+    dataset = recorded_data("lego")
     assert dataset.poses == 278
     assert len(dataset.observations) == 895
     assert len(dataset.known_map) == 6
@@ -351,9 +348,8 @@ def test_the_whole_log_is_there():
     assert_allclose(dataset.known_map.positions[0], [1.291, 1.881])
 
 
-@recorded
-def test_localization_is_within_four_centimetres_and_its_noise_is_as_stated():
-    dataset = real()
+def test_localization_is_within_four_centimetres_and_its_noise_is_as_stated(recorded_data):
+    dataset = recorded_data("lego")
     estimate = EkfLocalization().estimate(dataset)
     assert estimate.status == "ok"
     error = np.linalg.norm((estimate.online.poses - dataset.truth)[:, :2], axis=1)
@@ -365,20 +361,18 @@ def test_localization_is_within_four_centimetres_and_its_noise_is_as_stated():
     assert nis.mean() == pytest.approx(2.0, abs=4 * 2 / np.sqrt(len(nis)))
 
 
-@recorded
-def test_stamps_that_lag_are_worth_more_than_rows():
-    rows = load_recorded(
+def test_stamps_that_lag_are_worth_more_than_rows(recorded_data):
+    rows = recorded_data(
         "lego", lags=None, proportional=(0.14, 0.17), sensor_sigmas=(0.0205, 0.035)
     )
     error = {}
-    for name, dataset in (("stamps", real()), ("rows", rows)):
+    for name, dataset in (("stamps", recorded_data("lego")), ("rows", rows)):
         poses = EkfLocalization().estimate(dataset).online.poses
         error[name] = np.nanmean(np.linalg.norm((poses - dataset.truth)[:, :2], axis=1))
     assert error["stamps"] < 0.5 * error["rows"]
 
 
-@recorded
-def test_the_scale_of_the_reference_is_an_error():
-    raw = load_recorded("lego", reference_scale=1.0)
+def test_the_scale_of_the_reference_is_an_error(recorded_data):
+    raw = recorded_data("lego", reference_scale=1.0)
     poses = EkfLocalization().estimate(raw).online.poses
     assert np.nanmean(np.linalg.norm((poses - raw.truth)[:, :2], axis=1)) > 0.05

@@ -277,8 +277,8 @@ def read(path: str | Path | None = None) -> Log:
     for name in SENSORS.values():
         refuse(file, name, np.diff(rows[name], prepend=-np.inf) <= 0, "time does not increase")
     _check_events(file, events, rows)
-    beyond = (ranges < 0) | (ranges > NO_RETURN)
-    refuse(file, "Laser", beyond.any(axis=1), f"range below 0 m or over {NO_RETURN:g} m")
+    beyond = (ranges.min(axis=1) < 0) | (ranges.max(axis=1) > NO_RETURN)
+    refuse(file, "Laser", beyond, f"range below 0 m or over {NO_RETURN:g} m")
     refuse(file, "Intensity", intensities.min(axis=1) < 0, "negative intensity")
     refuse(file, "Velocity", np.abs(odometry[:, 1]) > 50, "over 50 m/s: is it in m/s?")
     refuse(file, "Steering", np.abs(odometry[:, 2]) > 1.2, "over 1.2 rad: is it in radians?")
