@@ -21,7 +21,7 @@ from ekfslam.models.motion import MotionModel
 from ekfslam.observations import Observations
 from ekfslam.registry import Estimator
 from ekfslam.robots import LandmarkMap, Prior
-from ekfslam.validation.rungs import Measurement, estimated, worst
+from ekfslam.validation.rungs import Measurement, estimated, refuse_samples, worst
 
 LOOKS = 50
 UNSURE = np.diag([0.2, 0.3, np.deg2rad(10.0)]) ** 2  # of where one stands
@@ -113,6 +113,7 @@ def gauge(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -> Mea
 def _filtered(subject: Estimator, dataset: Dataset) -> tuple[Trajectory, Innovations]:
     """What a filter says as it goes: poses with their covariances, and innovations."""
     estimate = estimated(subject, dataset)[0]
+    refuse_samples(estimate, "their spread is a sample")
     online, met = estimate.online, estimate.innovations
     if online is None or online.covariances is None or met is None:
         raise UnsupportedError("needs a filter: one with online covariances and innovations")

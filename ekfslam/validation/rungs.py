@@ -63,6 +63,12 @@ def estimated(
     return estimate, trajectory, landmarks
 
 
+def refuse_samples(estimate: Estimate, reason: str) -> None:
+    """Some questions do not fit a filter whose poses are drawn at random."""
+    if estimate.effective_samples is not None:
+        raise UnsupportedError(f"particles are drawn with the noise of the model: {reason}")
+
+
 def _linearizations(subject: Estimator, dataset: Dataset) -> tuple[Estimate, Linearizations]:
     method = getattr(subject, "linearizations", None)
     if method is None:
@@ -209,7 +215,8 @@ def zero_noise(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -
     """Estimate data drawn without noise (which still state theirs) and compare with the truth."""
     _refuse(dataset, (BEARING,), "the prior of its distance is not the truth")
     clean = simulate(scenario, seed=seed, draw=0.0)
-    _, trajectory, landmarks = estimated(subject, clean)
+    estimate, trajectory, landmarks = estimated(subject, clean)
+    refuse_samples(estimate, "they do not return the truth")
     assert clean.true_map is not None
     truth = np.array([robot.truth for robot in clean.robots]).reshape(trajectory.poses.shape)
     deviations = {"the poses": geo.additive_error(truth, trajectory.poses)}
@@ -312,7 +319,8 @@ def _with_slip(motion: MotionModel) -> MotionModel:
 
 def _gap(subject: Estimator, data: Dataset) -> float:
     """Root mean square distance to the batch of the final positions and the landmarks [m]."""
-    _, ours, landmarks = estimated(subject, data)
+    estimate, ours, landmarks = estimated(subject, data)
+    refuse_samples(estimate, "their error is of first order in it")
     if not len(landmarks):
         raise UnsupportedError("needs an estimator of landmarks")
     smoother = resolve("gtsam-batch", marginals=False, odometry_floor=FLOOR)
