@@ -315,7 +315,7 @@ def test_a_smoother_that_tells_no_innovations_is_not_asked_for_them():
 
 def test_a_filter_that_samples_is_asked_what_fits_it():
     """Noise that it draws itself is no mistake; a moved world moves the answer all the same."""
-    report = check("fastslam2(particles=5)", scenarios="loop-15")
+    report = check("fastslam2(particles=5)", scenarios="cloister")
     outcomes = {rung.number: rung.outcome for rung in report.rungs}
     assert outcomes == {n: "pass" if n == 4 else "does not apply" for n in range(1, 8)}
     assert report.passed
