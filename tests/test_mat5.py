@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 from importlib.util import find_spec
 from pathlib import Path
@@ -151,5 +152,11 @@ def test_arrays_that_are_wanted_are_checked(tmp_path):
     ):
         with pytest.raises(FileFormatError, match=said):
             read_arrays(path, {name: shape})
+    packed = tmp_path / "some.mat.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    assert_array_equal(read_arrays(packed, {"a": (2, None)})["a"], np.eye(2))
+    packed.write_bytes(packed.read_bytes()[:-9])
+    with pytest.raises(FileFormatError, match=r"some\.mat\.gz: cannot be read"):
+        read_arrays(packed, {"a": (2, None)})
     with pytest.raises(FileFormatError, match="no such file"):
         read_arrays(tmp_path / "missing.mat", {})

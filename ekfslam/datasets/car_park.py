@@ -75,9 +75,10 @@ MAX_RANGE = 16.0
 LONGEST_GAP = 0.5  # [s] between fixes, to be bridged
 FIRST_METRES = 10.0  # of the way, that the first pose is from
 NEAR, WINDOW, DRIFT = 0.8, 10, np.deg2rad(90.0)  # see `identified`
-NOTE = (
-    "The truth is GPS at the laser, good to some centimetres; its heading is unknown. Maps of SLAM "
-    "keep the error of the first heading: align them."
+NOTES = (
+    "The truth is GPS at the laser, good to some centimetres, about the sigmas of localization; "
+    "NEES of positions counts its errors as well. Its heading is unknown.",
+    "Maps and paths of SLAM keep the error of the first heading: align them.",
 )
 SENSORS = {1: "TimeGPS", 2: "Time_VS", 3: "TimeLaser"}  # of the list of events
 SHAPES: dict[str, tuple[int | None, int | None]] = {
@@ -211,7 +212,7 @@ def load(
         "J. Guivant and E. Nebot, SLAM summer schools 2002 to 2006; read: "
         f"{len(log.scans)} scans with {len(step)} reflectors, {len(log.odometry)} rows of "
         f"odometry, {len(log.fixes)} fixes, {len(log.beacons)} beacons",
-        notes=(NOTE,),
+        notes=NOTES,
     )
 
 

@@ -1,7 +1,9 @@
-"""Arrays of MATLAB files (version 5)."""
+"""Arrays of MATLAB files (version 5), plain or compressed."""
 
 from __future__ import annotations
 
+import gzip
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -37,8 +39,9 @@ def read_arrays(
     if not path.is_file():
         raise FileFormatError(f"{path}: no such file")
     try:
-        content = arrays_in(path.read_bytes())
-    except (OSError, ValueError) as error:
+        packed = path.read_bytes()
+        content = arrays_in(gzip.decompress(packed) if path.suffix == ".gz" else packed)
+    except (OSError, EOFError, zlib.error, ValueError) as error:
         raise FileFormatError(f"{path}: cannot be read ({error})") from None
     arrays = {}
     for name, shape in shapes.items():
