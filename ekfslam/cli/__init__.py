@@ -270,6 +270,7 @@ def recorded(
     out: Annotated[Path, typer.Option(help="Folder for CSVs, configuration and figures.")] = Path(
         "results/recorded"
     ),
+    workers: Annotated[int, typer.Option(help="Processes; the outcome is the same.")] = 1,
 ) -> None:
     """All estimators on all recorded sets; what cannot apply is a row that says why.
 
@@ -284,7 +285,7 @@ def recorded(
 
     names = ESTIMATORS if estimators is None else split(estimators)
     with progress() as watch:
-        found = recorded_study(out, datasets, names, path=data, watch=watch)
+        found = recorded_study(out, datasets, names, path=data, workers=workers, watch=watch)
     print_summary(found.summary, found.notes)
     for name, why in found.missing.items():
         print(f"not here: {name} ({why})")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ from ekfslam.estimates import Estimate
 from ekfslam.evaluation import tables
 from ekfslam.experiments.compare import Comparison, Watch, compare
 from ekfslam.experiments.files import check_folder, versions, write_together
+from ekfslam.experiments.study import mapped
 from ekfslam.registry import resolve
 
 FILTERS = ("ekf", "iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
@@ -39,20 +41,28 @@ class Case(NamedTuple):
     dataset : str
     association : str
         Options of the filters where identities are not known; the smoothers take the EKF's.
+    options : str
+        Of the dataset.
     """
 
     dataset: str
     association: str = ""
+    options: str = ""
+
+    @property
+    def source(self) -> str:
+        """How the dataset is asked for."""
+        return f"{self.dataset}({self.options})" if self.options else self.dataset
 
 
 CASES: tuple[Case, ...] = (
     Case("victoria-park"),
-    Case("victoria-park-raw", "association=nearest, confirm=3"),
+    Case("victoria-park-raw", "association=nearest, confirm=3, within=8"),
     Case("plaza1"),
     Case("plaza2"),
     *(Case(f"mrclam{number}/robot{robot}") for number in (1, 2) for robot in range(1, 6)),
-    Case("mrclam1"),
-    Case("mrclam2"),
+    # Of a team every step has five poses, all of which hang together.
+    *(Case(f"mrclam{number}", options="step=1") for number in (1, 2)),
     Case("lego", "association=nearest"),
     Case("car-park", "association=nearest, confirm=3"),
     Case("dlr"),
@@ -113,9 +123,8 @@ def texts_of(case: Case) -> dict[str, str]:
         texts[name] = f"{name}({options})" if options else name
     # A filter that is started with tentative landmarks has no robocentric form.
     if "confirm" in case.association:
-        plain = ", ".join(
-            word for word in case.association.split(", ") if not word.startswith("confirm")
-        )
+        words = case.association.split(", ")
+        plain = ", ".join(w for w in words if not w.startswith(("confirm", "within")))
         texts["ekf-robocentric"] = f"ekf-robocentric({plain})"
     others = (*PARTICLES, *ON_KNOWN_MAP, "dead-reckoning")
     return texts | {name: name for name in others}
@@ -126,6 +135,7 @@ def recorded_study(
     datasets: Sequence[str] | None = None,
     estimators: Sequence[str] = ESTIMATORS,
     path: str | Path | None = None,
+    workers: int = 1,
     watch: Watch | None = None,
 ) -> RecordedStudy:
     """Run all estimators on all recorded sets that are here.
@@ -141,8 +151,10 @@ def recorded_study(
         Some of `ESTIMATORS`.
     path : path, optional
         Folder of the sets; by default that of the environment variable EKFSLAM_DATA.
+    workers : int
+        Processes; the outcome is the same.
     watch : callable, optional
-        Told of progress.
+        Told of progress: (set, "", sets done, sets in all).
 
     Returns
     -------
@@ -171,17 +183,15 @@ def recorded_study(
     if not here:
         raise InputError("no recorded set is here: give the folder of the sets (--data PATH)")
     check_folder(out)
-    rows: list[pd.DataFrame] = []
-    notes: dict[str, tuple[str, ...]] = {}
-    told: dict[str, dict[str, str]] = {}
-    for case in here:
-        texts = {name: text for name, text in texts_of(case).items() if name in estimators}
-        subjects = [_Titled(name, text) for name, text in texts.items()]
-        found = compare([case.dataset], subjects, path=_path(case.dataset, path), watch=watch)
-        found.save(Path(out) / case.dataset.replace("/", "-"), kept=KEPT)
-        rows.append(_with_aligned(found))
-        told[case.dataset] = texts
-        notes |= {name: dataset.notes for name, dataset in found.datasets.items()}
+    task = partial(_run, tuple(estimators), path, Path(out))
+    found = []
+    with mapped(workers, task, here) as results:
+        for case, part in zip(here, results, strict=True):
+            found.append(part)
+            if watch is not None:
+                watch(case.dataset, "", len(found), len(here))
+    rows, notes = [part[0] for part in found], dict(part[1] for part in found)
+    told = {case.source: _asked(case, estimators) for case in here}
     summary = pd.concat(rows, ignore_index=True)
     config = {"study": "recorded", "estimators": told, "missing": missing, "versions": versions()}
 
@@ -191,6 +201,21 @@ def recorded_study(
 
     write_together(out, write)
     return RecordedStudy(summary, notes, missing, config)
+
+
+def _asked(case: Case, estimators: Sequence[str]) -> dict[str, str]:
+    return {name: text for name, text in texts_of(case).items() if name in estimators}
+
+
+def _run(
+    estimators: tuple[str, ...], path: str | Path | None, out: Path, case: Case
+) -> tuple[pd.DataFrame, tuple[str, tuple[str, ...]]]:
+    """A set with its estimators: its folder, rows of the summary, name and notes."""
+    subjects = [_Titled(name, text) for name, text in _asked(case, estimators).items()]
+    found = compare([case.source], subjects, path=_path(case.dataset, path))
+    found.save(out / case.dataset.replace("/", "-"), kept=KEPT)
+    ((name, dataset),) = found.datasets.items()
+    return _with_aligned(found), (name, dataset.notes)
 
 
 def _with_aligned(found: Comparison) -> pd.DataFrame:

@@ -12,7 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -26,6 +26,9 @@ from ekfslam.registry import Estimator
 from ekfslam.simulation import Scenario, load_scenario, simulate
 
 NOISE = "odometry_noise"
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 class Draw(NamedTuple):
@@ -85,7 +88,7 @@ def sweep(
     rows = []
     if watch is not None:
         watch(scenario.name, "", 0, len(draws))
-    with _mapped(workers, partial(_rows, subjects), draws) as results:
+    with mapped(workers, partial(_rows, subjects), draws) as results:
         for draw, part in zip(draws, results, strict=True):
             rows.append(part)
             if watch is not None:
@@ -106,16 +109,14 @@ def _rows(subjects: Mapping[str, Estimator], draw: Draw) -> pd.DataFrame:
 
 
 @contextmanager
-def _mapped(
-    workers: int, task: Callable[[Draw], pd.DataFrame], draws: list[Draw]
-) -> Iterator[Iterator[pd.DataFrame]]:
-    """Results in the order of the draws, from this process or from several."""
+def mapped(workers: int, task: Callable[[T], R], items: Sequence[T]) -> Iterator[Iterator[R]]:
+    """What a task makes of each item, in their order, from this process or from several."""
     if workers == 1:
-        yield map(task, draws)
+        yield map(task, items)
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         try:
-            yield pool.map(task, draws)
+            yield pool.map(task, items)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
