@@ -50,15 +50,8 @@ def test_where_identities_are_not_known_filters_decide_and_smoothers_take_theirs
 def test_sets_of_the_package_run_and_what_does_not_apply_says_why(tmp_path):
     found = recorded_study(tmp_path, ["plaza2"], QUICK)
     rows = found.summary.set_index("estimator")
-    assert (
-        rows["status"].to_dict()
-        == {
-            "dead-reckoning": "ok",
-            "ekf-localization": "skipped",
-            "ekf-ideal": "skipped",
-        }
-        or rows.loc["dead-reckoning", "status"] == "diverged"
-    )
+    assert rows.loc["dead-reckoning", "status"] in ("ok", "diverged")
+    assert (rows.loc[["ekf-localization", "ekf-ideal"], "status"] == "skipped").all()
     assert "map" in rows.loc["ekf-localization", "message"]
     aligned = rows.loc["dead-reckoning", "aligned_ate_position_rmse_m"]
     assert 0 < aligned < rows.loc["dead-reckoning", "ate_position_rmse_m"]

@@ -210,7 +210,9 @@ class Column(NamedTuple):
 
 
 def _digits(value: float) -> str:
-    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    if abs(value) < 1000 or abs(value) >= 1e6:
+        return f"{value:.3g}"
+    return f"{value:.0f}"
 
 
 def _seconds(value: float) -> str:
