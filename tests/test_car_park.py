@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import savemat
 
 from ekfslam import geometry as geo
-from ekfslam.datasets import car_park, load_recorded
+from ekfslam.datasets import car, car_park, load_recorded
 from ekfslam.errors import FileFormatError, InputError
 from ekfslam.filters.ekf import Ekf
 from ekfslam.filters.localization import EkfLocalization
@@ -32,13 +32,13 @@ def driven(speed, steering, at):
     times = BEGIN + dt * np.arange(len(speed) * fine + 1)
     rate = np.repeat(speed * np.tan(steering) / (wheelbase - wheel * np.tan(steering)), fine)
     middle = np.repeat(speed, fine) + wheel * rate
-    axle = geo.compose(START, geo.inverse([*car_park.LASER_AT, 0.0]))
+    axle = geo.compose(START, geo.inverse([*car.LASER_AT, 0.0]))
     heading = axle[2] + np.append(0.0, np.cumsum(rate * dt))
     half = heading[:-1] + 0.5 * rate * dt
     x = axle[0] + np.append(0.0, np.cumsum(middle * np.cos(half) * dt))
     y = axle[1] + np.append(0.0, np.cumsum(middle * np.sin(half) * dt))
     path = np.column_stack([np.interp(at, times, column) for column in (x, y, heading)])
-    return geo.compose(path, np.array([*car_park.LASER_AT, 0.0]))
+    return geo.compose(path, np.array([*car.LASER_AT, 0.0]))
 
 
 def scan_of(pose, beacons=BEACONS):
@@ -181,8 +181,8 @@ def test_noise_of_steps_is_that_of_the_rows_moved_to_the_laser(small, rng):
         noisy["Steering"] = data["Steering"] + turned
         log = log_of(noisy)
         rows = log.odometry * [1, 1, car_park.STEERING[0]] + [0, 0, car_park.STEERING[1]]
-        moves = car_park.axle_moves(rows, log.scans - car_park.LAGS[0], np.zeros((2, 2)))
-        draws.append(car_park.displaced(moves, np.array(car_park.LASER_AT)).deltas)
+        moves = car.axle_moves(rows, log.scans - car_park.LAGS[0], np.zeros((2, 2)))
+        draws.append(car.displaced(moves, np.array(car.LASER_AT)).deltas)
     k = 5
     sample = np.cov(np.array(draws)[:, k].T)
     scale = np.sqrt(np.diag(dataset.moves.covariances[0, k + 1]))
@@ -278,7 +278,7 @@ def replaced(name, index, value):
         (lambda d: {**d, "Laser": d["Laser"][:, :-1]}, "Laser must be numbers, n x 361"),
         (lambda d: {**d, "Intensity": d["Intensity"][:-1]}, "15 rows of Intensity, but 16 of"),
         (lambda d: {**d, "GPSLat": d["GPSLat"][:-1]}, "16 of TimeGPS, .*15 of GPSLat"),
-        (replaced("Steering", 3, np.nan), "NaN or infinite value in row 1 of Steering"),
+        (replaced("Steering", 3, np.nan), "NaN or infinite value in row 1, column 4 of Steering"),
         (replaced("Steering", 3, 20.0), "radians.* in row 4 of Steering"),
         (replaced("Velocity", 5, 1e3), "m/s.* in row 6 of Velocity"),
         (replaced("GPSLon", 2, 1e7), "metres.* in row 3 of GPSLon"),

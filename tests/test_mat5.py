@@ -12,9 +12,8 @@ import pytest
 from numpy.testing import assert_array_equal
 from scipy.io import loadmat, savemat
 
-from ekfslam.datasets.mat5 import arrays_in
-from ekfslam.datasets.matlab import read_arrays
 from ekfslam.errors import FileFormatError
+from ekfslam.mat5 import arrays_in, read_arrays
 
 
 def written(arrays, **options):
@@ -148,7 +147,7 @@ def test_arrays_that_are_wanted_are_checked(tmp_path):
         ("none", (1, 1), "has no array none"),
         ("text", (1, 1), "text is no array of real numbers"),
         ("a", (None, 3), "a must be numbers, n x 3, got an array of shape"),
-        ("bad", (None, 1), "NaN or infinite value in row 2 of bad"),
+        ("bad", (None, 1), "NaN or infinite value in row 2, column 1 of bad"),
     ):
         with pytest.raises(FileFormatError, match=said):
             read_arrays(path, {name: shape})

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import ekfslam
 from ekfslam import geometry as geo
-from ekfslam.datasets import victoria_park_raw
+from ekfslam.datasets import car, victoria_park_raw
 from ekfslam.errors import FileFormatError, InputError
 
 MS = 1e-3
@@ -153,7 +153,7 @@ def test_noise_of_a_step_is_that_of_drawn_rows(rng):
 
     def move(logged, noise):
         ends = times[[0, 12]]
-        return victoria_park_raw.displaced(victoria_park_raw.axle_moves(logged, ends, noise), at)
+        return car.displaced(car.axle_moves(logged, ends, noise), at)
 
     stated = move(logged, np.diag(sigmas**2))
     drawn = []
@@ -172,8 +172,8 @@ def test_noise_does_not_depend_on_where_a_row_is_cut():
     times = np.round(0.025 * np.arange(41), 6)
     logged = np.column_stack([times, np.full(41, 2.0), np.zeros(41)])
     noise = np.diag([0.25, 0.0])
-    whole = victoria_park_raw.axle_moves(logged, np.array([0.0, 1.0]), noise)
-    parts = victoria_park_raw.axle_moves(logged, np.array([0.0, 0.011, 0.4, 0.777, 1.0]), noise)
+    whole = car.axle_moves(logged, np.array([0.0, 1.0]), noise)
+    parts = car.axle_moves(logged, np.array([0.0, 0.011, 0.4, 0.777, 1.0]), noise)
     assert whole.covariances[0, 0, 0] == pytest.approx(40 * 0.25 * 0.025**2)
     assert parts.covariances[:, 0, 0].sum() == pytest.approx(whole.covariances[0, 0, 0])
 

@@ -10,8 +10,8 @@ There is one for each scan, of the laser, 3.78 m ahead of the rear axle and 0.50
 GPS has its antenna, so it is the truth of the position as it stands, and no heading is needed,
 which it does not have. Speed and steering make arcs of the centre of the axle, at
 ``v / (1 - tan(steering) H / L)`` with H = 0.76 m and L = 2.83 m; put together from scan to scan,
-they are taken to the laser, increment and covariance (see `displaced`), which is exact. A unicycle
-at the laser would be wrong in every turn.
+they are taken to the laser, increment and covariance (see `ekfslam.datasets.car`), which is exact.
+A unicycle at the laser would be wrong in every turn.
 
 What was measured on the log, and what is done about it
 -------------------------------------------------------
@@ -44,23 +44,20 @@ from typing import NamedTuple
 import numpy as np
 
 from ekfslam import geometry as geo
-from ekfslam.checks import checked_number
 from ekfslam.dataset import Dataset
+from ekfslam.datasets.car import LASER_AT, axle_moves, displaced, first_pose, fixed
 from ekfslam.datasets.catalogue import files_of
 from ekfslam.datasets.identities import identified
-from ekfslam.datasets.matlab import read_arrays, refuse
-from ekfslam.datasets.options import finite, positive, variances
-from ekfslam.datasets.resampling import interpolated
-from ekfslam.datasets.victoria_park_raw import axle_moves, displaced
+from ekfslam.datasets.options import finite, finite_number, positive, variances
 from ekfslam.errors import FileFormatError, InputError
 from ekfslam.geometry import Array
+from ekfslam.mat5 import read_arrays, refuse
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.observations import Observations
 from ekfslam.robots import LandmarkMap, Prior, Robot
 
 DATA, BEACONS = "data_set.mat", "beac_juan3.mat"
-LASER_AT = (3.78, 0.50)  # ahead of the rear axle and left of its centre
 BEAMS, AHEAD, BEAM_ANGLE = 361, 180, np.deg2rad(0.5)
 GAP = 3  # beams between two of one reflector
 NO_RETURN = 82.0  # [m]; there is none beyond
@@ -72,8 +69,6 @@ STEP_SIGMAS = (0.006, 0.009, 0.0005)
 SENSOR_SIGMAS = (0.02, 0.003)
 PRIOR_SIGMAS = (0.05, 0.05, 0.04)
 MAX_RANGE = 16.0
-LONGEST_GAP = 0.5  # [s] between fixes, to be bridged
-FIRST_METRES = 10.0  # of the way, that the first pose is from
 NEAR, WINDOW, DRIFT = 0.8, 10, np.deg2rad(90.0)  # see `identified`
 NOTES = (
     "The truth is GPS at the laser, good to some centimetres, about the sigmas of localization; "
@@ -164,9 +159,7 @@ def load(
     InputError
         For an option that makes no sense.
     """
-    scale, bias = positive(speed_scale, "speed_scale"), checked_number(range_bias, "range_bias")
-    if not np.isfinite(bias):
-        raise InputError(f"range_bias must be finite, got {range_bias}")
+    scale, bias = positive(speed_scale, "speed_scale"), finite_number(range_bias, "range_bias")
     factor, offset = finite(steering, 2, "steering")
     odometry_lag, fix_lag = finite(lags, 2, "lags")
     log = read(path)
@@ -176,9 +169,10 @@ def load(
     noise = variances(control_sigmas, 2, "control_sigmas")
     moves = displaced(axle_moves(rows, moments, noise), np.array(LASER_AT))
     covariances = moves.covariances + variances(step_sigmas, 3, "step_sigmas")
-    fixes = np.column_stack([log.fixes[:, 1:], np.full(len(log.fixes), np.nan)])
-    truth = interpolated(log.fixes[:, 0], fixes, log.scans - fix_lag, LONGEST_GAP)
-    first = _first_pose(moves.deltas, truth) if start is None else finite(start, 3, "start")
+    truth = fixed(log.fixes[:, 0], log.fixes[:, 1:], log.scans - fix_lag)
+    first = first_pose(moves.deltas, truth) if start is None else finite(start, 3, "start")
+    if first is None:
+        raise InputError("lags leave no fixes for the first metres; give start")
     step, values = reflectors(log.ranges, log.intensities)
     values[:, 0] -= bias
     laser = Sensor(
@@ -238,16 +232,6 @@ def reflectors(ranges: Array, intensities: Array) -> tuple[np.ndarray, Array]:
     mean_range = np.bincount(which, ranges[scan, beam]) / count
     mean_beam = np.bincount(which, beam) / count
     return scan[starts], np.column_stack([mean_range, (mean_beam - AHEAD) * BEAM_ANGLE])
-
-
-def _first_pose(deltas: Array, truth: Array) -> Array:
-    """Pose that lays the odometry of the first metres over the truth."""
-    path = geo.integrate(np.zeros(3), deltas)
-    way = np.cumsum(np.append(0.0, np.hypot(deltas[:, 0], deltas[:, 1])))
-    first = (way <= FIRST_METRES) & np.isfinite(truth[:, 0])
-    if first.sum() < 2:
-        raise InputError("lags leave no fixes for the first metres; give start")
-    return geo.compose(geo.align(path[first, :2], truth[first, :2]), path[0])
 
 
 # Files ---------------------------------------------------------------------------------------

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ekfslam.checks import checked_array, checked_number
-from ekfslam.errors import InputError
+from ekfslam.checks import checked_array
+from ekfslam.datasets.options import positive
 from ekfslam.geometry import Array
 
 
@@ -83,8 +83,7 @@ def find_cylinders(ranges: Any, jump: float, least: float = 0.0) -> Cylinders:
         For scans that are no matrix of numbers, or a jump that is not positive.
     """
     ranges = checked_array(ranges, float, (None, None), "ranges")
-    if not 0 < checked_number(jump, "jump") < np.inf:
-        raise InputError(f"jump must be positive and finite, got {jump}")
+    positive(jump, "jump")
     slopes = derivatives(ranges, least)
     scan, beam = np.nonzero(np.abs(slopes) > jump)
     rising = slopes[scan, beam] > 0

@@ -62,7 +62,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ekfslam.checks import checked_array, checked_number
+from ekfslam.checks import checked_array
 from ekfslam.dataset import Dataset
 from ekfslam.datasets.catalogue import files_of
 from ekfslam.datasets.mrclam_files import (
@@ -86,7 +86,7 @@ from ekfslam.datasets.mrclam_steps import (
     together,
     truth_at,
 )
-from ekfslam.datasets.options import positive, variances
+from ekfslam.datasets.options import duration, positive, variances
 from ekfslam.errors import FileFormatError, InputError, UnknownNameError
 from ekfslam.models.sensors import Sensor
 from ekfslam.robots import Robot
@@ -263,9 +263,8 @@ def _check(
     """Refuse options that make no sense."""
     if positive(step, "step") < FINEST:
         raise InputError(f"step must be {FINEST} s at least, got {step}")
-    for option, time in (("every", every), ("correlated", correlated)):
-        if not 0 <= checked_number(time, option) < np.inf:
-            raise InputError(f"{option} must be a time from 0 on, got {time}")
+    duration(every, "every")
+    duration(correlated, "correlated")
     positive(misread_beyond, "misread_beyond")
     for option, scale in (("v_scale", v_scale), ("w_scale", w_scale)):
         if scale is not None:

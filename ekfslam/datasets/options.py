@@ -27,7 +27,7 @@ def variances(sigmas: Sequence[float], count: int, name: str) -> Array:
 
 
 def finite(values: Sequence[float], count: int, name: str) -> Array:
-    """So many finite numbers.
+    """So many finite numbers, (count,).
 
     Raises
     ------
@@ -51,6 +51,34 @@ def positive(value: Any, name: str) -> float:
     number = checked_number(value, name)
     if not 0 < number < np.inf:
         raise InputError(f"{name} must be positive and finite, got {value}")
+    return number
+
+
+def finite_number(value: Any, name: str) -> float:
+    """A finite number.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    number = checked_number(value, name)
+    if not np.isfinite(number):
+        raise InputError(f"{name} must be finite, got {value}")
+    return number
+
+
+def duration(value: Any, name: str) -> float:
+    """A finite time [s] from 0 on.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    number = checked_number(value, name)
+    if not 0 <= number < np.inf:
+        raise InputError(f"{name} must be a time in seconds from 0 on, got {value}")
     return number
 
 

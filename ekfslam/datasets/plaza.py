@@ -34,14 +34,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.io import loadmat
 
 from ekfslam import geometry as geo
-from ekfslam.checks import checked_number
 from ekfslam.dataset import Dataset
 from ekfslam.datasets.catalogue import files_of
+from ekfslam.datasets.options import finite_number, positive, variances
 from ekfslam.errors import FileFormatError, InputError
 from ekfslam.geometry import Array
+from ekfslam.mat5 import read_arrays, refuse
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.observations import Observations
@@ -106,14 +106,11 @@ def load(
     if number not in MEASURED:
         raise InputError(f"there are Plaza 1 and 2, not {number!r}")
     measured = MEASURED[number]
-    gyro_bias = measured.gyro_bias if gyro_bias is None else gyro_bias
-    range_sigma = measured.range_sigma if range_sigma is None else range_sigma
-    for option, value in (("range_scale", range_scale), ("range_sigma", range_sigma)):
-        if not 0 < checked_number(value, option) < np.inf:
-            raise InputError(f"{option} must be positive and finite, got {value}")
-    if not np.isfinite(checked_number(gyro_bias, "gyro_bias")):
-        raise InputError(f"gyro_bias must be finite, got {gyro_bias}")
-    along, across, turn = _sigmas(odometry_sigmas, "odometry_sigmas")
+    drift = finite_number(measured.gyro_bias if gyro_bias is None else gyro_bias, "gyro_bias")
+    sigma = positive(measured.range_sigma if range_sigma is None else range_sigma, "range_sigma")
+    scale = positive(range_scale, "range_scale")
+    along, across, turn = np.diag(variances(odometry_sigmas, 3, "odometry_sigmas"))
+    prior_noise = variances(prior_sigmas, 3, "prior_sigmas")
     name = f"plaza{number}"
     path = files_of(name, path)[f"Plaza{number}_.mat"]
     arrays = _read(path)
@@ -121,9 +118,9 @@ def load(
     truth = arrays["GT"][:, 1:] + [0, 0, measured.heading]
     truth[:, 2] = geo.wrap(truth[:, 2])
     advance, change = arrays["DR"][:, 1:].T
-    controls = np.column_stack([advance, change - gyro_bias * np.diff(times)])
-    motion = MotionModel("advance-turn", np.diag([along**2, turn**2]), slip=across)
-    prior = Prior(truth[0], np.diag(_sigmas(prior_sigmas, "prior_sigmas") ** 2))
+    controls = np.column_stack([advance, change - drift * np.diff(times)])
+    motion = MotionModel("advance-turn", np.diag([along, turn]), slip=np.sqrt(across))
+    prior = Prior(truth[0], prior_noise)
     ranges = _by_time(arrays["TD"])
     beacons = arrays["TL"][:, 0].astype(np.int64)
     seen = ranges[:, 2].astype(np.int64)
@@ -131,10 +128,10 @@ def load(
         name=name,
         robots=(Robot(motion, controls, prior, truth, "mower"),),
         times=times,
-        sensors=(Sensor("range", np.array([[range_sigma**2]]), name="radio"),),
+        sensors=(Sensor("range", np.array([[sigma**2]]), name="radio"),),
         observations=Observations(
             step=np.searchsorted(0.5 * (times[1:] + times[:-1]), ranges[:, 0]),
-            values=range_scale * ranges[:, 3:],
+            values=scale * ranges[:, 3:],
             landmark=seen,
             time=ranges[:, 0],
         ),
@@ -145,17 +142,6 @@ def load(
     )
 
 
-def _sigmas(values: Sequence[float], name: str) -> Array:
-    """Three standard deviations."""
-    try:
-        sigmas = np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        sigmas = np.empty(0)
-    if sigmas.shape != (3,) or not (np.isfinite(sigmas) & (sigmas >= 0)).all():
-        raise InputError(f"{name} must be three standard deviations [m, m, rad], got {values!r}")
-    return sigmas
-
-
 def _by_time(ranges: Array) -> Array:
     """Ranges in the order of time; of one beacon, one at a time."""
     _, first = np.unique(ranges[:, [0, 2]], axis=0, return_index=True)
@@ -164,39 +150,21 @@ def _by_time(ranges: Array) -> Array:
 
 def _read(path: Path) -> dict[str, Array]:
     """The arrays of a file, after a look at how they hang together."""
-    try:
-        content = loadmat(str(path), appendmat=False)
-    except Exception as error:  # scipy raises many kinds for what is no .mat file
-        raise FileFormatError(f"{path}: cannot be read ({error})") from None
-
-    def refuse(name: str, said: str, bad: np.ndarray) -> None:
-        for row in np.flatnonzero(bad)[:1]:
-            raise FileFormatError(f"{path}: {said} in row {row + 1} of {name}")
-
-    arrays = {}
-    for name, columns in COLUMNS.items():
-        if name not in content:
-            raise FileFormatError(f"{path}: has no array {name}")
-        array = content[name]
-        if array.dtype.kind not in "iuf" or array.ndim != 2 or array.shape[1] != columns:
-            raise FileFormatError(
-                f"{path}: {name} must be numbers in {columns} columns, got {array.dtype} of shape "
-                f"{array.shape}"
-            )
-        arrays[name] = array = array.astype(float)
-        refuse(name, "NaN or infinite value", ~np.isfinite(array).all(axis=1))
+    arrays = read_arrays(path, {name: (None, columns) for name, columns in COLUMNS.items()})
     truth, odometry, ranges, beacons = arrays.values()
     if not len(truth):
         raise FileFormatError(f"{path}: GT is empty")
-    refuse("GT", "time does not increase", np.append(False, np.diff(truth[:, 0]) <= 0))
+    refuse(path, "GT", np.diff(truth[:, 0], prepend=-np.inf) <= 0, "time does not increase")
     if len(odometry) != len(truth) - 1:
         raise FileFormatError(
             f"{path}: {len(truth)} rows of GT need one row of DR less, got {len(odometry)}"
         )
-    refuse("DR", "time is not that of the next row of GT", odometry[:, 0] != truth[1:, 0])
-    refuse("TD", "negative range", ranges[:, 3] < 0)
+    apart = odometry[:, 0] != truth[1:, 0]
+    refuse(path, "DR", apart, "time is not that of the next row of GT")
+    refuse(path, "TD", ranges[:, 3] < 0, "negative range")
     for name, ids in (("TD", ranges[:, 2]), ("TL", beacons[:, 0])):
-        refuse(name, "beacon id that is not a whole number", (ids != np.floor(ids)) | (ids < 0))
+        bad = (ids != np.floor(ids)) | (ids < 0)
+        refuse(path, name, bad, "beacon id that is not a whole number")
     if len(np.unique(beacons[:, 0])) < len(beacons):
         raise FileFormatError(f"{path}: TL has a beacon twice")
     return arrays

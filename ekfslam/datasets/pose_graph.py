@@ -26,7 +26,8 @@ from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.datasets.graph_parts import ROBOT, Graph, Vertices, repeated
 from ekfslam.datasets.graph_sightings import sightings_of
-from ekfslam.errors import FileFormatError, InputError
+from ekfslam.datasets.options import one_of
+from ekfslam.errors import FileFormatError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import MotionModel
 from ekfslam.observations import Observations
@@ -85,8 +86,7 @@ def dataset_of(
     InputError
         For an unknown option.
     """
-    if unsupported not in ("refuse", "drop"):
-        raise InputError(f"unsupported must be 'refuse' or 'drop', got {unsupported!r}")
+    one_of(unsupported, ("refuse", "drop"), "unsupported")
     beyond = list(graph.beyond)
     drives = _drives(graph, beyond)
     times = _times(graph, drives)

@@ -24,13 +24,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ekfslam.checks import checked_array
 from ekfslam.dataset import Dataset
 from ekfslam.datasets.catalogue import files_of
 from ekfslam.datasets.graph_parts import Edges, Graph, Seen
 from ekfslam.datasets.graph_records import Rows, Tag, read, triangle
+from ekfslam.datasets.options import one_of, variances
 from ekfslam.datasets.pose_graph import dataset_of
-from ekfslam.errors import InputError
 from ekfslam.geometry import Array
 
 ODOMETRY_SIGMAS = (0.1, 0.1, 0.01)
@@ -73,8 +72,7 @@ def load(
     InputError
         For another `noise`, or standard deviations that are none.
     """
-    if noise not in ("default", "file"):
-        raise InputError(f"noise must be 'default' or 'file', got {noise!r}")
+    one_of(noise, ("default", "file"), "noise")
     path = files_of("victoria-park", path)["victoria_park.txt"]
     rows = read(path, TAGS)
     odometry, sightings = rows["ODOMETRY"], rows["LANDMARK"]
@@ -85,8 +83,8 @@ def load(
         odometry.refuse(changes, "another odometry covariance than before")
         seen = sightings.covariances("covariance")
     else:
-        kind, moved = "range-bearing", _variances(odometry_sigmas, 3, "odometry_sigmas")
-        seen = _variances(sensor_sigmas, 2, "sensor_sigmas")
+        kind, moved = "range-bearing", variances(odometry_sigmas, 3, "odometry_sigmas")
+        seen = variances(sensor_sigmas, 2, "sensor_sigmas")
         values = np.column_stack(
             [np.hypot(values[:, 0], values[:, 1]), np.arctan2(values[:, 1], values[:, 0])]
         )
@@ -108,11 +106,3 @@ def load(
 
 def _edges(rows: Rows, values: Array, covariances: Array) -> Edges:
     return Edges(rows.line, rows.ids[:, 0], rows.ids[:, 1], values, covariances)
-
-
-def _variances(sigmas: Sequence[float], count: int, name: str) -> Array:
-    """Covariance from standard deviations."""
-    array = checked_array(sigmas, float, (count,), name)
-    if not (np.isfinite(array) & (array >= 0)).all():
-        raise InputError(f"{name} must be standard deviations, got {sigmas!r}")
-    return np.diag(array**2)

@@ -51,34 +51,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ekfslam import geometry as geo
-from ekfslam.checks import checked_number
 from ekfslam.dataset import Dataset
+from ekfslam.datasets.car import LASER_AT, ROW, axle_moves, displaced, first_pose, fixed
 from ekfslam.datasets.catalogue import RECORDED
-from ekfslam.datasets.options import finite, positive, variances
+from ekfslam.datasets.options import duration, finite, finite_number, positive, variances
 from ekfslam.datasets.places import located, there
-from ekfslam.datasets.resampling import composed, interpolated
 from ekfslam.datasets.text import Table, read_table, whole
-from ekfslam.errors import FileFormatError, InputError
+from ekfslam.errors import FileFormatError
 from ekfslam.geometry import Array
-from ekfslam.models.motion import Increments, MotionModel
+from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.observations import Observations
 from ekfslam.robots import Prior, Robot
 
 NAME = "victoria-park-raw"
 TREES, LASER = "tree_observations.txt", "LASER.txt"
-WHEELBASE = 2.83
-WHEEL_OFFSET = 0.76  # of the encoder from the centre of the axle, to the left
-LASER_AT = (3.78, 0.50)
 CLOCK = 20.967
 CONTROL_SIGMAS = (0.5, 0.08)
 SENSOR_SIGMAS = (0.2, 0.015)
 STEP_SIGMAS = (0.01, 0.02, 0.001)
 PRIOR_SIGMAS = (0.3, 0.3, 0.03)
-ROW = 0.025  # [s] between rows of the odometry
-LONGEST_GAP = 0.5  # [s] between fixes, to be bridged
-FIRST_METRES = 10.0  # of the way, that the first pose is from
 
 
 class Files(NamedTuple):
@@ -138,13 +130,11 @@ def load(
     InputError
         For an option that makes no sense.
     """
-    if not 0 <= checked_number(step, "step") < np.inf:
-        raise InputError(f"step must be a time in seconds, got {step}")
+    duration(step, "step")
     positive(max_range, "max_range")
     positive(max_diameter, "max_diameter")
     at = finite(reference, 2, "reference")
-    if not np.isfinite(checked_number(clock, "clock")):
-        raise InputError(f"clock must be finite, got {clock}")
+    finite_number(clock, "clock")
     control_noise = variances(control_sigmas, 2, "control_sigmas")
     step_noise = variances(step_sigmas, 3, "step_sigmas")
     sensor_noise = variances(sensor_sigmas, 2, "sensor_sigmas")
@@ -164,17 +154,15 @@ def load(
     used = np.isin(scanned, times)
     near = (trees.values[:, 2] <= max_range) & (trees.values[:, 4] <= max_diameter)
     seen, seen_at = trees.values[used & near], scanned[used & near]
-    truth = interpolated(
-        fixes.values[:, 0],
-        np.column_stack([fixes.values[:, [2, 1]], np.full(len(fixes), np.nan)]),
-        times,
-        LONGEST_GAP,
-    )
+    truth = fixed(fixes.values[:, 0], fixes.values[:, [2, 1]], times)
+    first = first_pose(moves.deltas, truth)
+    if first is None:  # heading east from the first fix
+        first = np.append(fixes.values[0, [2, 1]], 0.0)
     typical = covariances.mean(axis=0) if len(covariances) else step_noise
     robot = Robot(
         MotionModel("odometry", typical),  # every step has its own; this one is for show
         moves.deltas,
-        Prior(_first_pose(moves.deltas, truth, fixes), prior_noise),
+        Prior(first, prior_noise),
         truth if np.isfinite(truth).any() else None,
         "car",
         covariances,
@@ -218,71 +206,6 @@ def thinned(times: Array, step: float) -> Array:
         if not kept or time >= kept[-1] + step:
             kept.append(time)
     return np.array(kept)
-
-
-def axle_moves(rows: Array, times: Array, noise: Array) -> Increments:
-    """Increments of the centre of the rear axle between times.
-
-    Parameters
-    ----------
-    rows : (n, 3) ndarray
-        Time [s], speed of the left rear wheel [m/s], steering [rad]; each holds until the next.
-    times : (K + 1,) ndarray
-        Increasing, none before the first row.
-    noise : (2, 2) ndarray
-        Of speed and steering in a row of 25 ms, independent of the next row's; over other times
-        its density is the same.
-
-    Returns
-    -------
-    Increments
-        K of them.
-    """
-    inside = (rows[:, 0] > times[0]) & (rows[:, 0] < times[-1])
-    grid = np.union1d(rows[inside, 0], times)
-    held = rows[np.searchsorted(rows[:, 0], grid[:-1], side="right") - 1]
-    speed, tangent = held[:, 1], np.tan(held[:, 2])
-    slope = 1 + tangent**2
-    share = WHEEL_OFFSET / WHEELBASE
-    centre = speed / (1 - share * tangent)
-    J = np.empty((len(held), 2, 2))
-    J[:, 0, 0] = 1 / (1 - share * tangent)
-    J[:, 0, 1] = share * slope * centre * J[:, 0, 0]
-    J[:, 1, 0] = J[:, 0, 0] * tangent / WHEELBASE
-    J[:, 1, 1] = (J[:, 0, 1] * tangent + centre * slope) / WHEELBASE
-    lasting = np.diff(grid)
-    covariances = geo.congruence(J, noise) * (ROW / lasting)[:, None, None]
-    controls = np.column_stack([centre, centre * tangent / WHEELBASE, lasting])
-    model = MotionModel("velocity", np.zeros((2, 2)))
-    return composed(model.increments(controls, covariances), np.searchsorted(grid, times))
-
-
-def displaced(moves: Increments, point: Array) -> Increments:
-    """Increments of a point of the body instead of its origin.
-
-    With m the point, a delta becomes ``m^-1 delta m``.
-
-    Parameters
-    ----------
-    moves : Increments
-    point : (2,) ndarray
-        In the body frame [m].
-    """
-    mount = np.append(point, 0.0)
-    J, _ = geo.compose_jacobians(moves.deltas, mount)
-    deltas = geo.between(mount, geo.compose(moves.deltas, mount))
-    return Increments(deltas, geo.congruence(J, moves.covariances))
-
-
-def _first_pose(deltas: Array, truth: Array, fixes: Table) -> Array:
-    """Pose that lays the odometry of the first metres over the truth; without any, heading east."""
-    path = geo.integrate(np.zeros(3), deltas)
-    far = np.cumsum(np.hypot(deltas[:, 0], deltas[:, 1])) > FIRST_METRES
-    first = np.arange(int(np.argmax(far)) + 2 if far.any() else len(path))
-    first = first[np.isfinite(truth[first, 0])]
-    if len(first) < 2:
-        return np.array([*fixes.values[0, [2, 1]], 0.0])
-    return geo.compose(geo.align(path[first, :2], truth[first, :2]), path[0])
 
 
 def _read(path: str | Path | None) -> Files:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ekfslam.errors import FileFormatError, InputError
+from ekfslam.mat5 import read_arrays
 
 VARIABLE = "EKFSLAM_DATA"
 
@@ -125,21 +126,7 @@ def read_points(path: Path, array: str) -> np.ndarray:
     FileFormatError
         For a damaged file or array; names both.
     """
-    from scipy.io import loadmat  # takes longer to import than all of the simulation
-
-    try:
-        content = loadmat(str(path), appendmat=False, variable_names=[array])
-    except Exception as error:  # scipy raises many kinds for what is no .mat file
-        said = " ".join(str(error).split())[:200]
-        raise FileFormatError(f"{path}: cannot be read ({said})") from None
-    if array not in content:
-        raise FileFormatError(f"{path}: has no array {array}")
-    points = np.asarray(content[array])
-    if points.dtype.kind not in "iuf" or points.ndim != 2 or len(points) != 2 or not points.size:
-        raise FileFormatError(
-            f"{path}: {array} must be numbers, 2 x n, got {points.dtype} of shape {points.shape}"
-        )
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=0))
-    if len(bad):
-        raise FileFormatError(f"{path}: NaN or infinite value in column {bad[0] + 1} of {array}")
-    return points.T.astype(float)
+    points = read_arrays(path, {array: (2, None)})[array]
+    if not points.size:
+        raise FileFormatError(f"{path}: {array} is empty")
+    return points.T

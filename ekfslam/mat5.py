@@ -1,4 +1,4 @@
-"""The bytes of a MATLAB file of version 5: numeric arrays by name.
+"""MATLAB files of version 5, plain or compressed (``.gz``): numeric arrays by name.
 
 A damaged file ends scipy's reader, and the process with it, so the format is read here: a header of
 128 bytes, then elements of a tag (type, size) and data, a matrix being an element of elements
@@ -7,12 +7,16 @@ A damaged file ends scipy's reader, and the process with it, so the format is re
 
 from __future__ import annotations
 
+import gzip
 import math
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
+
+from ekfslam.errors import FileFormatError
 
 HEADER, TAG = 128, 8
 MATRIX, COMPRESSED = 14, 15
@@ -33,6 +37,69 @@ STORED = {
 CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4",
            14: "i8", 15: "u8"}  # fmt: skip
 COMPLEX = 0x0800
+
+
+def read_arrays(
+    path: str | Path, shapes: Mapping[str, tuple[int | None, int | None]]
+) -> dict[str, np.ndarray]:
+    """Arrays of numbers of a file.
+
+    Parameters
+    ----------
+    path : path
+    shapes : mapping of str to (int or None, int or None)
+        Rows and columns of each array that is wanted; None for any number of them.
+
+    Returns
+    -------
+    dict of (n, c) ndarray of float
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be read, has no such array, or one of another kind or shape, or with a
+        value that is not finite; names file, array, row and column.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileFormatError(f"{path}: no such file")
+    try:
+        packed = path.read_bytes()
+        content = arrays_in(gzip.decompress(packed) if path.suffix == ".gz" else packed)
+    except (OSError, EOFError, zlib.error, ValueError) as error:
+        raise FileFormatError(f"{path}: cannot be read ({error})") from None
+    arrays = {}
+    for name, shape in shapes.items():
+        if name not in content:
+            raise FileFormatError(f"{path}: has no array {name}")
+        array = content[name]
+        if array is None:
+            raise FileFormatError(f"{path}: {name} is no array of real numbers")
+        fits = array.ndim == 2 and all(
+            want is None or want == got for want, got in zip(shape, array.shape, strict=True)
+        )
+        if not fits:
+            wanted = " x ".join("n" if want is None else str(want) for want in shape)
+            raise FileFormatError(
+                f"{path}: {name} must be numbers, {wanted}, got an array of shape {array.shape}"
+            )
+        arrays[name] = array.astype(float)
+        for row, column in np.argwhere(~np.isfinite(arrays[name]))[:1]:
+            raise FileFormatError(
+                f"{path}: NaN or infinite value in row {row + 1}, column {column + 1} of {name}"
+            )
+    return arrays
+
+
+def refuse(path: str | Path, name: str, bad: np.ndarray, said: str) -> None:
+    """Name the first bad row of an array, from 1 on as MATLAB counts, if there is one.
+
+    Raises
+    ------
+    FileFormatError
+    """
+    for row in np.flatnonzero(bad)[:1]:
+        raise FileFormatError(f"{path}: {said} in row {row + 1} of {name}")
 
 
 def arrays_in(content: bytes) -> dict[str, np.ndarray | None]:
