@@ -1,119 +1,37 @@
-"""MRCLAM: the files of the published layout, their pitfalls, and the real ones where they are."""
+"""MRCLAM: what its pitfalls make of a log, and the real ones where they are."""
 
 from __future__ import annotations
 
-import gzip
-
 import numpy as np
 import pytest
+from mrclam_made import (
+    BARCODES,
+    EPOCH,
+    PLACES,
+    TRUE_PLACES,
+    drive,
+    driven,
+    load,
+    sightings_of,
+    told,
+    write,
+    write_robot,
+    write_set,
+    write_world,
+)
 from numpy.testing import assert_allclose, assert_array_equal
 
 import ekfslam
 from ekfslam import geometry as geo
-from ekfslam.datasets import load_recorded, mrclam
-from ekfslam.datasets.mrclam_files import SWAPPED
-from ekfslam.errors import FileFormatError, InputError, UnknownNameError
+from ekfslam.datasets import mrclam
+from ekfslam.errors import FileFormatError
 from ekfslam.evaluation.summary import summary_rows
-
-EPOCH = 1248272263.25
-BARCODES = {1: 5, 2: 14, 3: 41, 6: 72, 7: 27, 11: 18, 17: 61}
-PLACES = {6: (3.0, 0.5), 7: (2.5, -0.8), 11: SWAPPED[11], 17: SWAPPED[17]}
-TRUE_PLACES = {**PLACES, 11: SWAPPED[17], 17: SWAPPED[11]}
-SCALE, LAG, SHIFT = (0.9, 0.95), 0.2, -0.03
-HEADER = "# UTIAS Multi-Robot Cooperative Localization and Mapping Dataset\n# Time [s] ...\n"
-
-
-def write(folder, name, rows, packed=False, formats="%.10f"):
-    """A file as they are published: comments, tabs and blanks."""
-    text = HEADER + "".join("\t ".join(formats % x for x in row) + " \n" for row in rows)
-    path = folder / (name + ".gz" * packed)
-    path.write_bytes(gzip.compress(text.encode()) if packed else text.encode())
-    return path
-
-
-def write_world(folder, places=PLACES):
-    folder.mkdir(exist_ok=True)
-    write(folder, "Barcodes.dat", BARCODES.items(), formats="%d")
-    write(folder, "Landmark_Groundtruth.dat", [(s, *xy, 1e-4, 2e-4) for s, xy in places.items()])
-
-
-def driven(commands, start, times, lag=LAG, scale=SCALE):
-    """Poses by going from command to command on circles, one after another."""
-    v = w = 0.0
-    pose, now, found = np.array(start, dtype=float), times[0], []
-    events = [(t + lag, 0, (a, b)) for t, a, b in commands] + [(t, 1, None) for t in times]
-    for at, _, told in sorted(events, key=lambda event: event[:2]):
-        if at > now:
-            turn = w * (at - now)
-            if abs(w) > 0:
-                radius, h = v / w, pose[2]
-                pose += [
-                    radius * (np.sin(h + turn) - np.sin(h)),
-                    radius * (np.cos(h) - np.cos(h + turn)),
-                    turn,
-                ]
-            else:
-                pose += [v * (at - now) * np.cos(pose[2]), v * (at - now) * np.sin(pose[2]), 0.0]
-            now = at
-        if told is None:
-            found.append(pose.copy())
-        else:
-            v, w = told[0] * scale[0], told[1] * scale[1]
-    return np.array(found)
-
-
-def drive(rng, seconds=20.0, still=1.0):
-    """Commands some 15 ms apart, in milliseconds, that change every second and start with rest."""
-    stamps = np.round(np.cumsum(rng.uniform(0.010, 0.020, int(seconds / 0.015))), 3)
-    changes = np.column_stack([rng.uniform(0, 0.09, 99), rng.uniform(-0.6, 0.6, 99)]).round(3)
-    told = changes[stamps.astype(int)]
-    told[stamps < still] = 0.0
-    return np.column_stack([EPOCH + stamps, told])
-
-
-def write_robot(folder, robot, commands, sightings, start, truth="Groundtruth", packed=False):
-    """A robot that starts somewhere; truth some 16 ms apart from before to behind the commands."""
-    times = np.arange(commands[0, 0] - 0.5, commands[-1, 0] + 0.5, 0.016)
-    poses = driven(commands, start, times)
-    poses[:, 2] = geo.wrap(poses[:, 2])
-    write(folder, f"Robot{robot}_Odometry.dat", commands, packed)
-    write(folder, f"Robot{robot}_Measurement.dat", sightings, packed)
-    if truth:
-        write(folder, f"Robot{robot}_{truth}.dat", np.column_stack([times, poses]), packed)
-    return np.column_stack([times, poses])
-
-
-def sighting(pose, time, subject, point):
-    """What a robot at a pose sees, stamped late."""
-    x, y = geo.to_frame(pose, np.array(point))
-    return time - SHIFT, BARCODES[subject], np.hypot(x, y), np.arctan2(y, x)
-
-
-def sightings_of(commands, start, subjects=(6, 7, 11, 17), seconds=0.37):
-    times = np.arange(commands[0, 0] + 1.0, commands[-1, 0] - 0.5, seconds)
-    poses = driven(commands, start, np.concatenate([[commands[0, 0]], times]))[1:]
-    return [
-        sighting(pose, time, subjects[i % len(subjects)], TRUE_PLACES[subjects[i % len(subjects)]])
-        for i, (time, pose) in enumerate(zip(times, poses, strict=True))
-    ]
 
 
 @pytest.fixture
 def folder(tmp_path, rng):
     """Set 1 with one robot, number 3."""
-    write_world(tmp_path)
-    commands = drive(rng)
-    write_robot(tmp_path, 3, commands, sightings_of(commands, (0.1, 0.2, 0.3)), (0.1, 0.2, 0.3))
-    return tmp_path
-
-
-def load(folder, part="robot3", **options):
-    options = {"v_scale": SCALE[0], "w_scale": SCALE[1], "correlated": 0.0} | options
-    return mrclam.load(1, folder, part, **options)
-
-
-def told(dataset, what):
-    return any(what in note for note in dataset.notes)
+    return write_set(tmp_path, rng)
 
 
 # Laws ---------------------------------------------------------------------------------------------
@@ -416,152 +334,11 @@ def test_who_has_no_truth_starts_at_zero_and_is_in_no_team(team):
     dataset = load(team, None)
     assert [robot.name for robot in dataset.robots] == ["robot1", "robot3"]
     assert told(dataset, "robot2 (no truth to start from)")
-    assert told(dataset, "robot4 (no odometry or no sightings)")
+    assert told(dataset, "robot4 (no Robot4_Odometry.dat and Robot4_Measurement.dat)")
     for name in ("Robot1_Groundtruth.dat.gz", "Robot3_Groundtruth_sparse.dat.gz"):
         (team / name).unlink()
     with pytest.raises(FileFormatError, match="no truth of any robot"):
         load(team, None)
-
-
-def test_files_that_are_not_there_are_named(folder):
-    with pytest.raises(FileFormatError, match=r"no Robot2_Odometry.dat and Robot2_Measurement.dat"):
-        load(folder, "robot2")
-    (folder / "Robot3_Measurement.dat").unlink()
-    with pytest.raises(FileFormatError, match=r"Robot1_Measurement.dat \(nor of others\)"):
-        load(folder, None)
-    (folder / "Barcodes.dat").unlink()
-    with pytest.raises(FileFormatError, match=r"Barcodes.dat"):
-        load(folder)
-
-
-def test_folders_as_published_are_found(folder, tmp_path_factory, monkeypatch):
-    root = tmp_path_factory.mktemp("all")
-    (root / "MRCLAM_Dataset7").symlink_to(folder)
-    monkeypatch.setenv("EKFSLAM_DATA", str(root))
-    dataset = load_recorded("mrclam7/robot3", misread_beyond=4.0)
-    assert dataset.name == "mrclam7/robot3"
-    assert len(dataset.observations) > 40
-
-
-# Damage -------------------------------------------------------------------------------------------
-
-
-def column(k, factor, add=0.0):
-    def damage(rows):
-        rows[:, k] = rows[:, k] * factor + add
-        return rows
-
-    return damage
-
-
-def one(row, k, value):
-    def damage(rows):
-        rows[row, k] = value
-        return rows
-
-    return damage
-
-
-DAMAGES = [
-    ("Robot3_Odometry.dat", column(0, 1000), r"line 3: time \[s\] .* milliseconds"),
-    ("Robot3_Odometry.dat", column(0, 1000, -1000 * EPOCH), r"line 4: .*milliseconds"),
-    ("Robot3_Odometry.dat", column(1, 1000), r"line \d+: forward velocity"),
-    ("Robot3_Odometry.dat", column(2, 57.3), r"line \d+: angular velocity .* degrees"),
-    (
-        "Robot3_Odometry.dat",
-        lambda rows: rows[:300],
-        r"Measurement.dat, line \d+: stamp is outside",
-    ),
-    ("Robot3_Odometry.dat", one(50, 0, EPOCH - 99), r"line 53: time goes back"),
-    ("Robot3_Odometry.dat", one(-1, 0, EPOCH + 999), r"no command for more than 60 s"),
-    ("Robot3_Odometry.dat", one(5, 1, np.nan), r"line 8: forward velocity \[m/s\] is nan"),
-    ("Robot3_Odometry.dat", lambda rows: rows[:, :2], r"line 3: 3 numbers are wanted"),
-    ("Robot3_Odometry.dat", lambda rows: rows[:0], "holds no row"),
-    ("Robot3_Measurement.dat", column(0, 1.0, 500.0), r"line 3: stamp is outside"),
-    ("Robot3_Measurement.dat", column(1, 1.0, 0.5), r"line 3: barcode is no whole number"),
-    ("Robot3_Measurement.dat", column(2, 1000), r"line 3: range \[m\] .* millimetres"),
-    ("Robot3_Measurement.dat", column(3, 57.3), r"line \d+: bearing \[rad\] .* degrees"),
-    ("Robot3_Measurement.dat", one(7, 2, -1.0), r"line 10: range must be positive"),
-    ("Robot3_Measurement.dat", one(7, 0, EPOCH - 5), r"line 10: time goes back"),
-    ("Robot3_Groundtruth.dat", column(1, 1000), r"line \d+: x \[m\] .* millimetres"),
-    ("Robot3_Groundtruth.dat", column(3, 57.3), r"line \d+: heading \[rad\] .* degrees"),
-    ("Robot3_Groundtruth.dat", column(0, 1.0, 1e4), r"line 3: .* nothing in common"),
-    ("Robot3_Groundtruth.dat", lambda rows: rows[::-1], r"line 66: time goes back"),
-    ("Landmark_Groundtruth.dat", lambda rows: rows[:-1], r"line 5: .* none of subject 17"),
-    ("Landmark_Groundtruth.dat", one(0, 0, 7), r"line 4: this landmark is there already"),
-    ("Landmark_Groundtruth.dat", one(1, 0, 8), r"line 4: this landmark has no barcode"),
-    ("Landmark_Groundtruth.dat", one(1, 4, -1), r"line 4: a standard deviation is negative"),
-    ("Barcodes.dat", one(1, 1, 5), r"line 4: this barcode is another subject's"),
-    ("Barcodes.dat", one(1, 0, 1), r"line 4: this subject has a barcode"),
-    ("Barcodes.dat", one(1, 0, 0), r"line 4: subjects are numbered from 1"),
-    ("Barcodes.dat", lambda rows: rows[:-1], r"Landmark_Groundtruth.dat, line 6: .* no barcode"),
-]
-
-
-@pytest.mark.parametrize(("name", "damage", "said"), DAMAGES)
-def test_damage_is_told_with_file_and_line(folder, name, damage, said):
-    rows = np.loadtxt(folder / name)
-    write(folder, name, damage(rows))
-    with pytest.raises(FileFormatError, match=said):
-        load(folder)
-
-
-def test_a_file_that_is_cut_short_or_empty_is_told(folder):
-    path = folder / "Robot3_Measurement.dat"
-    text = path.read_bytes()
-    path.write_bytes(text[: text.rindex(b"\t")])
-    last = text.count(b"\n")
-    with pytest.raises(FileFormatError, match=rf"line {last}: 4 numbers are wanted"):
-        load(folder)
-    path.write_bytes(text.replace(b"\n", b"\r\n", 20))
-    assert len(load(folder).observations) == last - 2
-    path.write_bytes(b"")
-    with pytest.raises(FileFormatError, match="is empty"):
-        load(folder)
-    path.unlink()
-    packed = gzip.compress(text)
-    (folder / "Robot3_Measurement.dat.gz").write_bytes(packed[: len(packed) // 2])
-    with pytest.raises(FileFormatError, match="cannot be read"):
-        load(folder)
-
-
-def test_robots_whose_times_do_not_meet_make_no_team(folder, rng):
-    commands = drive(rng)
-    commands[:, 0] += 100
-    write_robot(folder, 1, commands, sightings_of(commands, (0, 0, 0)), (0, 0, 0))
-    with pytest.raises(FileFormatError, match="robot1, robot3: no time"):
-        load(folder, None)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"step": 0.0},
-        {"step": 0.001},
-        {"step": "1"},
-        {"lag": np.nan},
-        {"lag": 20.0},
-        {"image_shift": np.inf},
-        {"v_scale": 0.0},
-        {"w_scale": -1.0},
-        {"odometry_sigmas": (1.0, 2.0)},
-        {"range_bias": (0.0, 1.0)},
-        {"range_sigma": -1.0},
-        {"every": -1.0},
-        {"correlated": np.nan},
-        {"misread_beyond": 0.0},
-        {"prior_sigmas": (0.1, 0.1, -0.1)},
-        {"part": "robot6"},
-    ],
-)
-def test_options_that_make_no_sense_are_refused(folder, options):
-    with pytest.raises((InputError, UnknownNameError)):
-        load(folder, **options)
-
-
-def test_there_are_nine_sets(folder):
-    with pytest.raises(InputError, match="1 to 9"):
-        mrclam.load(10, folder)
 
 
 # The real sets ------------------------------------------------------------------------------------

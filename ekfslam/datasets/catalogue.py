@@ -47,11 +47,21 @@ class Recorded(NamedTuple):
         Raises
         ------
         FileFormatError
-            If they are not there.
+            If they are not there, or in the folder of another set whose files are called alike.
         """
-        if self.published or path is not None:
-            return located(name, path, self.folders, self.files)
-        return {file: in_wheel(file, name) for file in self.files}
+        if not self.published and path is None:
+            return {file: in_wheel(file, name) for file in self.files}
+        found = located(name, path, self.folders, self.files)
+        folder = found[self.files[0]].parent
+        for other, one in RECORDED.items():
+            if other != name and one.files == self.files and folder.name in one.folder_names:
+                raise FileFormatError(f"{name}: {folder} is a folder of {other}, not of {name}")
+        return found
+
+    @property
+    def folder_names(self) -> set[str]:
+        """Names that the folder itself may have."""
+        return {Path(folder).name for folder in self.folders}
 
     def is_here(self, name: str, path: str | Path | None = None) -> bool:
         """Whether its files are there."""

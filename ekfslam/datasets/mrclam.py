@@ -72,6 +72,7 @@ from ekfslam.datasets.mrclam_files import (
     UNKNOWN,
     Log,
     Who,
+    missing_of,
     read_landmarks,
     read_log,
     read_who,
@@ -277,9 +278,10 @@ def _logs(beside: Path, part: str | None, who: Who) -> tuple[list[Log], str]:
     found = {robot: read_log(beside, robot, who) for robot in wanted}
     logs = [log for log in found.values() if log]
     if not logs:
-        files = " and ".join(f"Robot{wanted[0]}_{kind}.dat" for kind in ("Odometry", "Measurement"))
-        raise FileFormatError(f"{beside.parent}: has no {files}{' (nor of others)' * (not part)}")
-    absent = [f"robot{robot} (no odometry or no sightings)" for robot in wanted if not found[robot]]
+        files = missing_of(beside, wanted[0])
+        others = "" if part else ", nor those of another robot"
+        raise FileFormatError(f"{beside.parent}: has no {files} (nor with .gz){others}")
+    absent = [f"robot{i} (no {missing_of(beside, i)})" for i in wanted if not found[i]]
     if part is None:
         placed = [log for log in logs if len(log.truth)]
         if not placed:

@@ -105,6 +105,12 @@ class Log(NamedTuple):
         """Such as ``robot3``."""
         return f"robot{self.robot}"
 
+    @property
+    def timed(self) -> str:
+        """Names of the files that say from when to when the robot runs."""
+        kinds = ["Odometry"] + ["Groundtruth" + "_sparse" * self.sparse] * bool(len(self.truth))
+        return ", ".join(f"Robot{self.robot}_{kind}.dat" for kind in kinds)
+
     def since(self, start: float) -> Log:
         """The same with times that count from some time on."""
         shift = np.array([start, 0.0, 0.0, 0.0])
@@ -171,6 +177,12 @@ def read_landmarks(path: Path, who: Who, number: int) -> tuple[LandmarkMap, str]
         elif not _match(there_now, list(SWAPPED.values())[::-1]):
             said = "the positions of landmarks 11 and 17 are not the published ones: not swapped"
     return LandmarkMap(subjects, positions), said
+
+
+def missing_of(beside: Path, robot: int) -> str:
+    """Names of the files of a robot that must be there and are not; empty if all are."""
+    needed = (f"Robot{robot}_{kind}.dat" for kind in ("Odometry", "Measurement"))
+    return " and ".join(file for file in needed if there(beside, file) is None)
 
 
 def read_log(beside: Path, robot: int, who: Who) -> Log | None:

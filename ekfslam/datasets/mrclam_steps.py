@@ -62,7 +62,7 @@ def span(logs: Sequence[Log], step: float) -> tuple[float, float]:
     FileFormatError
         If the robots have no time in common, or the truth is never known of all.
     """
-    names = ", ".join(log.name for log in logs)
+    names = ", ".join(log.timed for log in logs)
     start = max(log.commands[0, 0] for log in logs)
     ends = []
     for log in logs:
