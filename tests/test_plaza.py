@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
+import fuzz
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -284,6 +285,12 @@ def test_a_drive_without_ranges(write):
         ({"TD": [[10.1, 2, 4.5, 3]]}, "not a whole number in row 1 of TD"),
         ({"TL": [[4, 1, 5], [-9, 4, 4]]}, "not a whole number in row 2 of TL"),
         ({"TL": [[4, 1, 5], [4, 4, 4]]}, "TL has a beacon twice"),
+        ({"TL": SMALL["TL"][:1]}, "beacon that TL does not have in row 2 of TD"),
+        ({"TD": [[10.1, 2, 4, 3], [99.0, 2, 4, 3]]}, "not within that of GT in row 2 of TD"),
+        ({"TD": [[10.1, 2, 4, 3000]]}, r"is this in metres\? in row 1 of TD"),
+        ({"GT": np.array(SMALL["GT"]) * [1, 1, 1, 57.3]}, r"in radians\? in row 1 of GT"),
+        ({"GT": np.array(SMALL["GT"]) * [1, 1e4, 1, 1]}, r"in metres\? in row 3 of GT"),
+        ({"DR": np.array(SMALL["DR"]) * [1, 1, 57.3]}, r"in radians\? in row 2 of DR"),
     ],
 )
 def test_a_malformed_file_is_named(write, changes, said):
@@ -302,6 +309,25 @@ def test_a_file_that_is_none(tmp_path):
         assert "\n" not in str(error.value)
     with pytest.raises(FileFormatError, match="no file or folder"):
         plaza.load(1, tmp_path / "none.mat")
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_no_damage_breaks_the_loader(write, tmp_path, compressed):
+    arrays = {key: np.array(a, dtype=float) for key, a in SMALL.items()}
+    savemat(tmp_path / "Plaza1_.mat", arrays, do_compression=compressed)
+    files = {"Plaza1_.mat": (tmp_path / "Plaza1_.mat").read_bytes()}
+
+    def everything_arrives(dataset, damaged):
+        assert dataset.poses == 4
+        assert "Read: 4 poses, 5 ranges of 2 beacons; " in dataset.notes[0]
+        assert f"; {5 - len(dataset.observations)} ranges repeat" in dataset.notes[0]
+
+    told = fuzz.check(
+        lambda folder: plaza.load(1, folder), tmp_path, files, 1000, 3, everything_arrives,
+        ("missing", "empty"),
+    )  # fmt: skip
+    assert told["refused"] > 300
+    assert told["loaded"] > (0 if compressed else 50)
 
 
 def test_a_set_is_saved_without_loss(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from functools import cache
 
+import fuzz
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -158,6 +159,26 @@ def test_a_file_cut_off_anywhere_or_of_another_kind_is_refused(world):
     file.write_text("lm = [1 2; 3 4]")
     with pytest.raises(FileFormatError, match=r"map\.mat: cannot be read"):
         world()
+
+
+def test_no_damage_breaks_the_reader(world, tmp_path):
+    """The file is damaged, the scenario is not; its name is in what is told."""
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "of map.mat.toml").write_text(SCENARIO.replace("map.mat", "damaged/map.mat"))
+    world(whole())
+    files = {"map.mat": (tmp_path / "map.mat").read_bytes()}
+
+    def load(folder):
+        return simulate(load_scenario(tmp_path / "of map.mat.toml"))
+
+    def every_point_arrives(dataset, damaged):
+        assert len(dataset.true_map) == len(LANDMARKS)
+
+    told = fuzz.check(
+        load, tmp_path / "damaged", files, 1000, 4, every_point_arrives, ("missing", "empty")
+    )
+    assert told["refused"] > 300
+    assert told["loaded"] > 50
 
 
 @pytest.mark.parametrize(

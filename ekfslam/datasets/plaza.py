@@ -51,6 +51,15 @@ RANGE_SCALE = 1 / 1.0695
 ODOMETRY_SIGMAS = (0.02, 0.02, 0.002)
 PRIOR_SIGMAS = (0.05, 0.05, 0.02)
 COLUMNS = {"GT": 4, "DR": 3, "TD": 4, "TL": 3}
+BEYOND = 1.0  # [s] that a range may be before the first pose, or after the last
+LARGEST = (  # array, columns, and how large these may be in which unit
+    ("GT", (1, 2), 1e4, "metres"),
+    ("GT", (3,), 7.0, "radians"),
+    ("DR", (1,), 100.0, "metres"),
+    ("DR", (2,), 3.2, "radians"),
+    ("TD", (3,), 1e3, "metres"),
+    ("TL", (1, 2), 1e4, "metres"),
+)
 
 
 class Measured(NamedTuple):
@@ -139,6 +148,10 @@ def load(
         true_landmark=seen,
         provenance=f"{path.name} of the gtsam package; J. Djugash, B. Hamner and S. Roth, "
         "Journal of Field Robotics 26(9), 2009",
+        notes=(
+            f"Read: {len(truth)} poses, {len(arrays['TD'])} ranges of {len(beacons)} beacons; "
+            f"{len(arrays['TD']) - len(ranges)} ranges repeat another's beacon and time.",
+        ),
     )
 
 
@@ -161,10 +174,16 @@ def _read(path: Path) -> dict[str, Array]:
         )
     apart = odometry[:, 0] != truth[1:, 0]
     refuse(path, "DR", apart, "time is not that of the next row of GT")
+    outside = (ranges[:, 0] < truth[0, 0] - BEYOND) | (ranges[:, 0] > truth[-1, 0] + BEYOND)
+    refuse(path, "TD", outside, "time is not within that of GT")
     refuse(path, "TD", ranges[:, 3] < 0, "negative range")
     for name, ids in (("TD", ranges[:, 2]), ("TL", beacons[:, 0])):
-        bad = (ids != np.floor(ids)) | (ids < 0)
+        bad = (ids != np.floor(ids)) | (ids < 0) | (ids > 2**53)
         refuse(path, name, bad, "beacon id that is not a whole number")
     if len(np.unique(beacons[:, 0])) < len(beacons):
         raise FileFormatError(f"{path}: TL has a beacon twice")
+    refuse(path, "TD", ~np.isin(ranges[:, 2], beacons[:, 0]), "beacon that TL does not have")
+    for name, columns, most, unit in LARGEST:
+        largest = np.abs(arrays[name][:, columns]).max(axis=1)
+        refuse(path, name, largest > most, f"is this in {unit}?")
     return arrays
