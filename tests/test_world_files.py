@@ -161,6 +161,13 @@ def test_a_file_cut_off_anywhere_or_of_another_kind_is_refused(world):
         world()
 
 
+@pytest.mark.parametrize("far", [1e6, 1e9, 1e308])
+def test_waypoints_in_another_unit_do_not_take_forever(world, far):
+    waypoints = np.array([[0.0, 0.0], [20.0, 0.0], [far, far]])
+    with pytest.raises(InputError, match=r"waypoint 3 is .* m away: .* more than 1000000 steps"):
+        world(whole(wp=waypoints.T))
+
+
 def test_no_damage_breaks_the_reader(world, tmp_path):
     """The file is damaged, the scenario is not; its name is in what is told."""
     (tmp_path / "damaged").mkdir()

@@ -17,6 +17,7 @@ from ekfslam.errors import InputError
 from ekfslam.geometry import TAU, Array
 
 CHORDS_PER_LAP = 200_000  # arc length of a lap of park is then right to some 1e-9 m
+MOST_STEPS = 1_000_000  # of a car that steers for waypoints: more is a mistake in their unit
 
 
 class Path(NamedTuple):
@@ -170,8 +171,8 @@ def steered(
     Raises
     ------
     InputError
-        For values that are not positive, waypoints that are no list of points, and a waypoint that
-        the car circles without reaching it.
+        For values that are not positive, waypoints that are no list of points, a waypoint that the
+        car circles without reaching it, and one that is more than a million steps away.
     """
     start, waypoints = np.asarray(start, dtype=float), np.asarray(waypoints, dtype=float)
     if start.shape != (3,) or waypoints.ndim != 2 or waypoints.shape[1] != 2 or not len(waypoints):
@@ -186,7 +187,13 @@ def steered(
     step, turning, steer = speed * time_step, wheelbase / sin(max_steer), 0.0
     angles = []
     for number, (to_x, to_y) in enumerate(waypoints.tolist() * laps):
-        patience = int(10 * (hypot(to_x - x, to_y - y) + turning) / step)
+        away = hypot(to_x - x, to_y - y)
+        if len(angles) + away / step > MOST_STEPS:
+            raise InputError(
+                f"waypoint {number % len(waypoints) + 1} is {away:.3g} m away: with steps of "
+                f"{step:.3g} m the run takes more than {MOST_STEPS} steps"
+            )
+        patience = int(10 * (away + turning) / step)
         while hypot(to_x - x, to_y - y) > radius:
             wanted = remainder(atan2(to_y - y, to_x - x) - heading - steer, 2 * pi)
             most = steer_rate * time_step
