@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from inspect import signature
 from pathlib import Path
@@ -30,6 +30,7 @@ ESTIMATORS = (*FILTERS, *SMOOTHERS, *PARTICLES, *ON_KNOWN_MAP, "dead-reckoning")
 EVERY = 50  # steps between covariances of the newest pose: gtsam takes long for each
 
 KEPT = ("summary", "landmarks", "association")  # the others are large
+SHOWN = ("ekf", "ekf-ri", "gtsam-batch", "ekf-localization", "dead-reckoning")
 ALIGNED = ("ate_position_rmse_m", "landmark_rmse_m", "landmark_max_m")
 
 
@@ -213,9 +214,18 @@ def _run(
     """A set with its estimators: its folder, rows of the summary, name and notes."""
     subjects = [_Titled(name, text) for name, text in _asked(case, estimators).items()]
     found = compare([case.source], subjects, path=_path(case.dataset, path))
-    found.save(out / case.dataset.replace("/", "-"), kept=KEPT)
+    folder = out / case.dataset.replace("/", "-")
+    found.save(folder, figures=False, kept=KEPT)
+    _shown(found).save(folder, kept=())
     ((name, dataset),) = found.datasets.items()
     return _with_aligned(found), (name, dataset.notes)
+
+
+def _shown(found: Comparison) -> Comparison:
+    """What figures have room for."""
+    names = ("trajectories", "landmarks", "innovations")
+    some = {name: getattr(found, name) for name in names}
+    return replace(found, **{k: rows[rows["estimator"].isin(SHOWN)] for k, rows in some.items()})
 
 
 def _with_aligned(found: Comparison) -> pd.DataFrame:
