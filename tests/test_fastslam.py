@@ -384,6 +384,25 @@ def test_sightings_that_no_particle_explains(kind):
     np.testing.assert_allclose(estimate.landmarks.positions, [[2.0, 0.1]])
 
 
+@BOTH
+@pytest.mark.parametrize("sigma", [0.0, 0.1])
+def test_a_landmark_right_at_the_sensor_has_no_direction_to_be_seen_in(kind, sigma):
+    """A range of zero maps it there, and a robot that stands still expects it there."""
+    robot = Robot(MotionModel("odometry", sigma**2 * np.eye(3)), np.zeros((2, 3)))
+    data = make(
+        robots=(robot,),
+        step=[0, 0, 1, 1, 2, 2],
+        values=[[0.0, 0.3], [2.0, 0.0], [0.1, 0.2], [2.1, 0.0], [0.1, 0.1], [2.0, 0.0]],
+        landmark=[1, 2, 1, 2, 1, 2],
+    )
+    estimate = kind(particles=20).estimate(data)
+    assert np.isfinite(estimate.online.poses).all()
+    assert np.isfinite(estimate.online.covariances).all()
+    np.testing.assert_allclose(estimate.landmarks.positions, [[0, 0], [2, 0]], atol=0.5)
+    exact = "no particle explains steps: 2, the first is 1"
+    assert estimate.message == ("" if sigma else exact)
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [
@@ -400,7 +419,8 @@ def test_what_it_cannot_work_with(data, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"particles": 0}, "particles must be a whole number from 1 on, got 0"),
+        ({"particles": 0}, "particles must be a whole number from 1 to 2147483647, got 0"),
+        ({"particles": 2**31}, "particles must be a whole number from 1 to 2147483647, got 2147"),
         ({"particles": 2.5}, "particles must be a whole number"),
         ({"particles": True}, "particles must be a whole number"),
         ({"seed": -1}, "seed must be a whole number from 0 on"),

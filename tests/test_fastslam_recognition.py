@@ -86,6 +86,20 @@ def test_the_likeliest_is_that_of_plain_likelihoods(kind, certain, rng):
     assert max(told) > 0
 
 
+def test_a_heading_that_swings_the_sensor_along_with_its_robot_lets_it_be_farther_off():
+    """Position and heading err together, and the sensor by the sum of both."""
+    sensor = Sensor("range-bearing", np.diag([0.01, 0.25]), mount=[1.0, 0.0, 0.0])
+    left = np.array([-np.sin(POSE[2]), np.cos(POSE[2])])
+    together = 0.5 * np.append(left, 1.0)
+    P = np.outer(together, together)
+    means, covariances = [geo.compose(POSE, sensor.mount)[:2] + 8.0 * left], [np.zeros((2, 2))]
+    values = sensor.observe(POSE, means[0])[0][None] + 3.6 * np.array([-1.0, -0.5])
+    sightings, choice = Sightings.of(sensor, values), np.array([UNDECIDED])
+    maps = mapped(means, covariances)
+    likeliest(sightings, 0, 1, maps, 0, POSE, P, GATE, _logdets(sightings), choice)
+    assert choice.tolist() == plainly(sensor, values, P, means, covariances) == [0]
+
+
 def test_what_a_row_shows_is_out_of_the_question_for_the_others():
     sensor = Sensor("xy", 0.01 * np.eye(2))
     maps = mapped([[1.0, 0.0]], [0.01 * np.eye(2)])

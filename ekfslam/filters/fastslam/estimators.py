@@ -81,7 +81,8 @@ class Fastslam1:
             value = getattr(self, name)
             whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
             if not whole or not least <= value <= most:
-                raise InputError(f"{name} must be a whole number from {least} on, got {value!r}")
+                bounds = f"{least} on" if most == np.inf else f"{least} to {most}"
+                raise InputError(f"{name} must be a whole number from {bounds}, got {value!r}")
         if self.association not in (None, *ASSOCIATIONS):
             listed = ", ".join(ASSOCIATIONS)
             raise InputError(f"association must be one of {listed}, got {self.association!r}")

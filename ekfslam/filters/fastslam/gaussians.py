@@ -198,7 +198,7 @@ def wider(S, seen, PH):  # type: ignore[no-untyped-def]
 def inverse(S):  # type: ignore[no-untyped-def]
     """Entries of the inverse of S, and its determinant; that is NaN if S is not positive definite.
 
-    The entries are then zero: a correction with them changes nothing.
+    The entries are then zero, and a correction with them changes nothing.
     """
     determinant = S[0] * S[2] - S[1] * S[1]
     if not (determinant > 0.0 and S[0] > 0.0 and determinant < np.inf):
@@ -240,7 +240,9 @@ def correct_landmark(seen, g, nu, inverted):  # type: ignore[no-untyped-def]
     nu, inverted
         Innovation, and `inverse` of S.
     """
-    i00, i01, i11, _ = inverted
+    i00, i01, i11, determinant = inverted
+    if not determinant > 0.0:
+        return
     # Sigma H'
     x0, x1 = g[2] * seen.xx + g[3] * seen.xy, g[2] * seen.yx + g[3] * seen.yy
     y0, y1 = g[3] * seen.xx + g[4] * seen.xy, g[3] * seen.yx + g[4] * seen.yy
@@ -266,7 +268,9 @@ def correct_pose(mean, P, PH, nu, inverted):  # type: ignore[no-untyped-def]
     nu, inverted
         Innovation, and `inverse` of S, which has the spread of landmark and pose.
     """
-    i00, i01, i11, _ = inverted
+    i00, i01, i11, determinant = inverted
+    if not determinant > 0.0:
+        return
     u0, u1, u2, w0, w1, w2 = PH
     k00, k01 = u0 * i00 + w0 * i01, u0 * i01 + w0 * i11
     k10, k11 = u1 * i00 + w1 * i01, u1 * i01 + w1 * i11

@@ -92,7 +92,10 @@ def likeliest(sightings, first, last, maps, particle, pose, P, gate, logdets, ch
     sensor = placed(sightings.mount[first], pose)
     gates = np.full(m, gate)
     claims, candidates, n = np.empty((m, count)), np.empty(count, np.int64), 0
-    own = P[0, 0] + P[1, 1] + P[2, 2] * (sensor[4] * sensor[4] + sensor[5] * sensor[5])
+    lever_x, lever_y = sensor[4], sensor[5]
+    # Trace of the covariance of the sensor's place, which the heading swings.
+    own = P[0, 0] + P[1, 1] + 2.0 * (lever_x * P[1, 2] - lever_y * P[0, 2])
+    own += P[2, 2] * (lever_x * lever_x + lever_y * lever_y)
     for index in range(count):
         page, place = maps.table[particle, index // PAGE], index % PAGE
         g = maps.gaussians[page, place]

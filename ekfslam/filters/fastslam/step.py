@@ -264,7 +264,8 @@ def propose(i, mean, P, base, last, sightings, logdets, cloud, maps, settings, s
     Changes mean and covariance P of the pose that is going to be drawn. The weight is the
     likelihood of the sightings before that, so S has the spread of pose, landmark and measurement.
     The landmarks are left as they are: each serves once in a step, and a second sighting, in
-    another look, is left to `observe`, which knows the landmark better by then.
+    another look, is left to `observe`, which knows the landmark better by then. So is one that
+    cannot be linearised at the mean.
     """
     # Taken from their tuples once: in the loop every access would count references.
     values, Rs, kinds, mounts = (
@@ -291,6 +292,9 @@ def propose(i, mean, P, base, last, sightings, logdets, cloud, maps, settings, s
             nu, PH = innovation(kind, values[row], seen), toward(seen, P)
             S = wider(spread(seen, g, Rs[row]), seen, PH)
             inverted = inverse(S)
+            if not inverted[3] > 0.0:  # as of a landmark right at the sensor, in no direction
+                fused[r] = False
+                continue
             before[r] = weight
             nus[r, 0], nus[r, 1] = nu
             Ss[r, 0], Ss[r, 1], Ss[r, 2] = S
