@@ -27,7 +27,7 @@ def recorded_data():
     def load(name, **options):
         if not os.environ.get("EKFSLAM_DATA"):
             pytest.skip("EKFSLAM_DATA names no folder")
-        if not RECORDED[name.partition("/")[0]].is_here(name.partition("/")[0]):
+        if not RECORDED[name.partition("/")[0]].is_here(name):
             pytest.skip(f"{name} is not in the data folder")
         return load_recorded(name, **options)
 

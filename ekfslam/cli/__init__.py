@@ -376,19 +376,16 @@ def datasets(
 
       ekfslam datasets mrclam1 --data recorded
     """
-    from ekfslam.datasets import RECORDED
-    from ekfslam.errors import UnknownNameError
+    from ekfslam.datasets import RECORDED, of_name
     from ekfslam.simulation import describe_scenario, scenarios
 
     if name is not None:
-        whole = name.partition("/")[0]
-        if whole not in RECORDED:
-            raise UnknownNameError("recorded dataset", whole, RECORDED)
-        print_list(RECORDED[whole].told(whole, data))
+        recorded, _ = of_name(name)
+        print_list(recorded.told(name.partition("/")[0], data))
         return
     rows = [(each, describe_scenario(each)) for each in scenarios()]
     for each, recorded in RECORDED.items():
-        missing = "" if recorded.is_here(each, data) else " [not here: ekfslam datasets NAME]"
+        missing = "" if recorded.is_here(each, data) else f" [not here: ekfslam datasets {each}]"
         rows.append((each, f"{recorded.description}{missing}"))
     print_list(rows)
 

@@ -12,12 +12,29 @@ from ekfslam.dataset import Dataset
 from ekfslam.datasets.catalogue import RECORDED, Recorded
 from ekfslam.errors import InputError, UnknownNameError
 
-__all__ = ["RECORDED", "Recorded", "is_recorded", "load_recorded"]
+__all__ = ["RECORDED", "Recorded", "is_recorded", "load_recorded", "of_name"]
 
 
 def is_recorded(name: str) -> bool:
     """Whether a name, with or without a part after a slash, is that of a recorded set."""
     return name.partition("/")[0] in RECORDED
+
+
+def of_name(name: str) -> tuple[Recorded, str]:
+    """The set of a name, and the part of it that follows after a slash, empty if none does.
+
+    Raises
+    ------
+    UnknownNameError
+        For an unknown name or part.
+    """
+    whole, slash, part = name.partition("/")
+    if whole not in RECORDED:
+        raise UnknownNameError("recorded dataset", whole, RECORDED)
+    recorded = RECORDED[whole]
+    if slash and part not in recorded.parts:
+        raise UnknownNameError(f"part of {whole}", part, recorded.parts)
+    return recorded, part
 
 
 def load_recorded(name: str, path: str | Path | None = None, /, **options: Any) -> Dataset:
@@ -42,14 +59,9 @@ def load_recorded(name: str, path: str | Path | None = None, /, **options: Any) 
     FileFormatError
         For a file that is missing or malformed.
     """
-    whole, slash, part = name.partition("/")
-    if whole not in RECORDED:
-        raise UnknownNameError("dataset", whole, RECORDED)
-    recorded = RECORDED[whole]
-    if slash and part not in recorded.parts:
-        raise UnknownNameError(f"part of {whole}", part, recorded.parts)
+    recorded, part = of_name(name)
     arguments = (recorded.number,) * bool(recorded.number) + (path,)
-    named = {"part": part} if slash else {}
+    named = {"part": part} if part else {}
     loader: Callable[..., Dataset] = getattr(import_module(recorded.module), recorded.loader)
     try:
         signature(loader).bind(*arguments, **named, **options)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from ekfslam.datasets.places import located
+from ekfslam.datasets.places import VARIABLE, hint, located, there
 from ekfslam.datasets.wheel import in_wheel
 from ekfslam.errors import FileFormatError
 
@@ -30,6 +30,9 @@ class Recorded(NamedTuple):
         Which of several sets of one kind; 0 if there is only one.
     parts : tuple of str
         What may follow the name after a slash.
+    part_files : tuple of str
+        That a part needs besides; ``{part}`` stands for its name, ``{Part}`` for that with a
+        capital.
     """
 
     description: str
@@ -40,9 +43,18 @@ class Recorded(NamedTuple):
     loader: str = "load"
     number: int = 0
     parts: tuple[str, ...] = ()
+    part_files: tuple[str, ...] = ()
 
     def find(self, name: str, path: str | Path | None = None) -> dict[str, Path]:
         """Its files by name.
+
+        Parameters
+        ----------
+        name : str
+            Of the whole set.
+        path : path, optional
+            Its file or folder, or a folder for all sets; by default what comes with gtsam, or the
+            folder of EKFSLAM_DATA.
 
         Raises
         ------
@@ -64,26 +76,52 @@ class Recorded(NamedTuple):
         return {Path(folder).name for folder in self.folders}
 
     def is_here(self, name: str, path: str | Path | None = None) -> bool:
-        """Whether its files are there."""
+        """Whether the files of the set, or of a part of it, are there."""
+        whole, _, part = name.partition("/")
         try:
-            return all(each.is_file() for each in self.find(name, path).values())
+            found = self.find(whole, path)
         except FileFormatError:
             return False
+        beside = found[self.files[0]]
+        besides = _named(self.part_files, part) if part else ()
+        return all(each.is_file() for each in found.values()) and all(
+            there(beside, file) for file in besides
+        )
 
     def told(self, name: str, path: str | Path | None = None) -> list[tuple[str, str]]:
-        """All there is to say: what it is, whether it is here, what is expected and from where."""
+        """All there is to say: what it is, whether it is here, what is expected and from where.
+
+        Parameters
+        ----------
+        name : str
+            Of the whole set.
+        path : path, optional
+        """
         try:
-            here = "yes, " + ", ".join(str(each) for each in self.find(name, path).values())
+            found = self.find(name, path)
+            here = f"yes, in {found[self.files[0]].parent}"
         except FileFormatError as error:
-            here = f"no: {error}"
+            here = f"no: {str(error).removeprefix(f'{name}: ').removesuffix(hint(name))}"
         rows = [("what", self.description), ("here", here)]
         if self.parts:
-            rows.append(("parts", ", ".join(f"{name}/{part}" for part in self.parts)))
-        rows.append(("files", ", ".join(self.files) + " (each may be compressed, .gz)"))
-        if self.folders:
-            rows.append(("folder", f"{' or '.join(self.folders)}, in the data folder, or itself"))
-        rows.append(("published", self.published or "inside the gtsam package"))
+            missing = [part for part in self.parts if not self.is_here(f"{name}/{part}", path)]
+            lost = f"; not here: {', '.join(missing)}" if here.startswith("yes") and missing else ""
+            rows.append(("parts", ", ".join(f"{name}/{part}" for part in self.parts) + lost))
+        rows.append(("files", f"{', '.join(self.files)}; each as it is or compressed (.gz)"))
+        if self.parts:
+            besides = ", ".join(_named(self.part_files, self.parts[0]))
+            rows.append(("of a part", f"{besides} for {name}/{self.parts[0]}, and so on"))
+        if self.published:
+            place = f"in the folder of --data or {VARIABLE}, or that folder itself"
+            rows.append(("folder", f"{' or '.join(self.folders)}, {place}"))
+        wheel = "inside the gtsam package, and read from there without --data"
+        rows.append(("published", self.published or wheel))
         return rows
+
+
+def _named(texts: tuple[str, ...], part: str) -> tuple[str, ...]:
+    """Names of the files of a part."""
+    return tuple(text.format(part=part, Part=part.capitalize()) for text in texts)
 
 
 def files_of(name: str, path: str | Path | None = None) -> dict[str, Path]:
@@ -111,10 +149,11 @@ def _mrclam(number: int) -> Recorded:
             f"mrclam/MRCLAM_Dataset{number}",
             f"MRCLAM{number}",
         ),
-        "asrl.utias.utoronto.ca/datasets/mrclam: per robot Robot1_Odometry.dat, "
-        "Robot1_Measurement.dat and Robot1_Groundtruth.dat",
+        f"asrl.utias.utoronto.ca/datasets/mrclam: MRCLAM_Dataset{number}; beside them the truth, "
+        "Robot1_Groundtruth.dat or Robot1_Groundtruth_sparse.dat",
         number=number,
         parts=tuple(f"robot{robot}" for robot in range(1, 6)),
+        part_files=("{Part}_Odometry.dat", "{Part}_Measurement.dat"),
     )
 
 
@@ -142,7 +181,7 @@ RECORDED: Mapping[str, Recorded] = {
         number=1,
     ),
     "plaza2": Recorded(
-        "recorded: as plaza1, faster; 4091 poses, 1816 ranges",
+        "recorded: as plaza1, faster, with a gyro that drifts; 4091 poses, 1816 ranges",
         "ekfslam.datasets.plaza",
         ("Plaza2_.mat",),
         ("plaza",),
@@ -188,6 +227,7 @@ RECORDED: Mapping[str, Recorded] = {
         ("city_trees10000",),
         "the iSAM distribution (Kaess), data/cityTrees10000.txt",
         parts=tuple(f"mc{draw}" for draw in range(10)),
+        part_files=("cityTrees10000_{part}.txt",),
     ),
     "freiburg-course": Recorded(
         "simulated by others: a small world with 9 landmarks, known association, their truth "

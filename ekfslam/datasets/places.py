@@ -45,11 +45,15 @@ def located(
     if not given:
         raise FileFormatError(
             f"{dataset}: give the folder of its files (--data PATH, or the environment variable "
-            f"{VARIABLE}); ekfslam datasets {dataset} says where to get them"
+            f"{VARIABLE}){hint(dataset)}"
         )
     root = Path(given)
-    if len(files) == 1 and root.is_file():
-        return {files[0]: root}
+    if root.is_file():
+        if len(files) == 1:
+            return {files[0]: root}
+        raise FileFormatError(
+            f"{dataset}: {root} is a file; give the folder of {', '.join(files)}{hint(dataset)}"
+        )
     if not root.is_dir():
         raise FileFormatError(f"{dataset}: there is no file or folder {root}")
     places = [root, *(root / name for name in folders)]
@@ -59,10 +63,16 @@ def located(
         return best
     missing = [name for name in files if name not in best]
     where = places[found.index(best)] if best else root
+    within = f", itself or in {' or '.join(folders)}" if folders and not best else ""
     raise FileFormatError(
-        f"{dataset}: {where} has no {', '.join(missing)} (nor {missing[0]}{COMPRESSED}); "
-        f"ekfslam datasets {dataset} says where to get the files"
+        f"{dataset}: {where} has no {', '.join(missing)} (nor with {COMPRESSED}){within}"
+        f"{hint(dataset)}"
     )
+
+
+def hint(dataset: str) -> str:
+    """Where an error sends those who have no files."""
+    return f"; ekfslam datasets {dataset} tells where to get the files"
 
 
 def there(path: Path, file: str) -> Path | None:

@@ -147,15 +147,21 @@ def numbers(
     values = []
     for word, name in zip(words, columns, strict=True):
         try:
-            value = float(word)
+            value = _number(word)
         except ValueError:
             raise FileFormatError(
                 f"{path}, line {number}: {name}{of} is no number but {word[:40]!r}"
             ) from None
         if not np.isfinite(value):
-            raise FileFormatError(f"{path}, line {number}: {name}{of} is {word}")
+            raise FileFormatError(f"{path}, line {number}: {name}{of} is {word[:40]}")
         values.append(value)
     return values
+
+
+def _number(word: str) -> float:
+    if "_" in word:  # Python's own way to write numbers
+        raise ValueError
+    return float(word)
 
 
 def whole(table: Table, column: int, name: str, least: int = 0) -> np.ndarray:

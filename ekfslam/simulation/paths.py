@@ -185,7 +185,7 @@ def steered(
         )
     x, y, heading = start.tolist()
     step, turning, steer = speed * time_step, wheelbase / sin(max_steer), 0.0
-    angles = []
+    angles: list[float] = []
     for number, (to_x, to_y) in enumerate(waypoints.tolist() * laps):
         away = hypot(to_x - x, to_y - y)
         if len(angles) + away / step > MOST_STEPS:
