@@ -16,6 +16,7 @@ from baselines.association import Association
 from baselines.entry import all_at_once, notes, rows_of, warm_up
 from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
+from baselines.options import check
 from ekfslam.dataset import Dataset
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
@@ -52,7 +53,7 @@ class GtsamBatch:
     Raises
     ------
     UnknownNameError, InputError
-        For a loss that is not there.
+        For a loss that is not there, or numbers that make no sense.
     """
 
     initial: Any = "ekf"
@@ -65,7 +66,7 @@ class GtsamBatch:
     name = "gtsam-batch"
 
     def __post_init__(self) -> None:
-        chosen(self.robust, self.robust_scale)
+        check(self)
 
     def estimate(self, dataset: Dataset, progress: Progress | None = None) -> Estimate:
         """Smooth a dataset.

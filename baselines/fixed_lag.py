@@ -11,7 +11,7 @@ import numpy as np
 
 from baselines import entry, keys
 from baselines.landmark_graph import LandmarkGraph
-from baselines.stepwise import Arrivals, Stepwise, checked_count, fed, parameters_of
+from baselines.stepwise import Arrivals, Stepwise, fed, parameters_of
 from ekfslam import geometry as geo
 from ekfslam.estimates import Estimate, LandmarkEstimates
 from ekfslam.geometry import Array
@@ -47,10 +47,6 @@ class GtsamFixedLag(Stepwise):
 
     lag: int = 50
     name = "gtsam-fixed-lag"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        checked_count(self.lag, "lag")
 
     def _run(
         self,

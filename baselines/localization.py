@@ -14,7 +14,7 @@ from baselines.batch import GtsamBatch, ready, source_name, start_of
 from baselines.isam2 import GtsamIsam2
 from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
-from baselines.stepwise import checked_count
+from baselines.options import check
 from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.estimates import FAILED, Decision, Estimate
@@ -78,8 +78,7 @@ class GtsamLocalization:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise InputError(f"method must be {' or '.join(METHODS)}, got {self.method!r}")
-        chosen(self.robust, self.robust_scale)
-        checked_count(self.marginal_every, "marginal_every")
+        check(self)
 
     def estimate(self, dataset: Dataset, progress: Progress | None = None) -> Estimate:
         """Smooth a dataset.
@@ -99,7 +98,7 @@ class GtsamLocalization:
         Raises
         ------
         UnsupportedError
-            If the dataset has no known map.
+            If the dataset has no known map, or no identities and the start has none of that map.
         """
         known, batch = dataset.known_map, self.method == "batch"
         if known is None:
@@ -142,9 +141,17 @@ class GtsamLocalization:
 
 def _shown(dataset: Dataset, first: Estimate | None) -> tuple[np.ndarray, str]:
     """Identity of what each observation shows, -1 where it is not used, and who says so."""
-    if first is None or first.association in ("", "known"):
-        return dataset.observations.landmark, "known"
-    if first.innovations is None:
+    landmark = dataset.observations.landmark
+    if first is None or first.association == "known":
+        return landmark, "known"
+    if first.association == "" and (dataset.association_known or (landmark >= 0).any()):
+        return landmark, "known"
+    if first.association == "" or first.innovations is None:
         raise UnsupportedError(f"{first.estimator} made no associations")
+    if first.landmarks is not None:
+        raise UnsupportedError(
+            f"{first.estimator} names landmarks of a map of its own; who is seen of the known map "
+            "is for one that localizes to say, such as initial=ekf-localization"
+        )
     used = first.innovations.decision == Decision.ACCEPTED
     return np.where(used, first.innovations.landmark, -1), first.association

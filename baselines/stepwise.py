@@ -16,10 +16,9 @@ from baselines.batch import in_words, ready
 from baselines.entry import Entrance, warm_up
 from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
+from baselines.options import check
 from ekfslam import geometry as geo
-from ekfslam.checks import checked_number
 from ekfslam.dataset import Dataset
-from ekfslam.errors import InputError
 from ekfslam.estimates import FAILED, Estimate, Trajectory
 from ekfslam.geometry import Array
 from ekfslam.registry import Progress
@@ -69,8 +68,7 @@ class Stepwise:
     robust_scale: float | None = None
 
     def __post_init__(self) -> None:
-        chosen(self.robust, self.robust_scale)
-        checked_count(self.marginal_every, "marginal_every")
+        check(self)
 
     def estimate(self, dataset: Dataset, progress: Progress | None = None) -> Estimate:
         """Smooth a dataset step by step.
@@ -308,19 +306,6 @@ def parameters_of(smoother: Any, problem: LandmarkGraph) -> gtsam.ISAM2Params:
     if problem.floored:
         parameters.setFactorization("QR")
     return parameters
-
-
-def checked_count(value: int, name: str) -> None:
-    """Refuse what is not a positive whole number.
-
-    Raises
-    ------
-    InputError
-        Names the option.
-    """
-    number = checked_number(value, name)
-    if not (number >= 1 and number.is_integer()):
-        raise InputError(f"{name} must be a whole number of steps, 1 or more, got {value}")
 
 
 class _Now:

@@ -244,7 +244,7 @@ def test_the_newest_pose_at_chosen_steps():
     np.testing.assert_array_equal(some.online.poses, all_of_them.online.poses)
     assert np.isfinite(some.smoothed.covariances).all()
     for wrong in (0, 2.5, np.nan):
-        with pytest.raises(InputError, match="marginal_every must be a whole number of steps"):
+        with pytest.raises(InputError, match="marginal_every must be a whole number from 1"):
             GtsamIsam2(marginal_every=wrong)
 
 

@@ -11,6 +11,7 @@ from test_localization import on_its_map
 from baselines.association import Association
 from baselines.batch import GtsamBatch
 from baselines.dead_reckoning import DeadReckoning
+from baselines.fixed_lag import GtsamFixedLag
 from baselines.isam2 import GtsamIsam2
 from baselines.landmark_graph import LandmarkGraph
 from baselines.localization import GtsamLocalization
@@ -220,6 +221,19 @@ def test_unknown_association_is_taken_from_the_filter(method):
 
 
 @pytest.mark.parametrize("method", ["batch", "isam2"])
+def test_a_start_that_does_not_know_the_map_cannot_say_who_is_seen(method):
+    """Who maps landmarks names them as found, and a name of the map may be among those."""
+    dataset = on_its_map(simulate("cloister", seed=1)).without_identities()
+    for initial, reason in (
+        ("ekf", "ekf names landmarks of a map of its own"),
+        ("fastslam2(particles=3)", "fastslam2 names landmarks of a map of its own"),
+        ("dead-reckoning", "dead-reckoning made no associations"),
+    ):
+        with pytest.raises(UnsupportedError, match=reason):
+            GtsamLocalization(method, initial=initial).estimate(dataset)
+
+
+@pytest.mark.parametrize("method", ["batch", "isam2"])
 def test_what_is_not_on_the_map_is_not_used(method):
     dataset = problem(scanner())
     part = on_its_map(dataset, [13, 5])
@@ -283,8 +297,30 @@ def test_without_a_map_it_does_not_apply():
         ({"robust": "huge"}, UnknownNameError, "huber"),
         ({"robust_scale": 2.0}, InputError, "needs a kernel"),
         ({"marginal_every": 0}, InputError, "marginal_every"),
+        ({"relinearize_skip": 0}, InputError, "relinearize_skip must be a whole number from 1"),
+        ({"relinearize_threshold": np.nan}, InputError, "relinearize_threshold must be finite"),
+        ({"relative_tolerance": "tight"}, InputError, "relative_tolerance must be a number"),
+        ({"max_iterations": 2.5}, InputError, "max_iterations must be a whole number from 1"),
+        ({"max_iterations": 2**31}, InputError, "max_iterations must be a whole number"),
+        ({"final_updates": -1}, InputError, "final_updates must be a whole number from 0"),
+        ({"odometry_floor": -1e-4}, InputError, "odometry_floor must be finite and not negative"),
+        ({"marginals": "no"}, InputError, "marginals must be True or False, got 'no'"),
     ],
 )
 def test_senseless_options_are_refused(options, error, message):
     with pytest.raises(error, match=message):
         GtsamLocalization(**options)
+
+
+@pytest.mark.parametrize(
+    ("kind", "option"),
+    [
+        (GtsamBatch, "max_iterations"),
+        (GtsamIsam2, "relinearize_skip"),  # by which gtsam divides
+        (GtsamFixedLag, "relinearize_skip"),
+        (GtsamFixedLag, "lag"),
+    ],
+)
+def test_so_they_are_by_all_smoothers(kind, option):
+    with pytest.raises(InputError, match=f"{option} must be a whole number from 1"):
+        kind(**{option: 0})
