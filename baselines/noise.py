@@ -35,8 +35,8 @@ class Kernel:
     """
 
     def __init__(self, name: str, scale: float | None = None) -> None:
-        if name not in KERNELS:
-            raise UnknownNameError("robust kernel", name, KERNELS)
+        if not isinstance(name, str) or name not in KERNELS:
+            raise UnknownNameError("robust kernel", str(name), KERNELS)
         kind, customary = KERNELS[name]
         self.name = name
         self.scale = customary if scale is None else checked_number(scale, "robust_scale")

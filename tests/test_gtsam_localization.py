@@ -295,6 +295,7 @@ def test_without_a_map_it_does_not_apply():
     [
         ({"method": "fixed-lag"}, InputError, "batch or isam2"),
         ({"robust": "huge"}, UnknownNameError, "huber"),
+        ({"robust": True}, UnknownNameError, "huber"),
         ({"robust_scale": 2.0}, InputError, "needs a kernel"),
         ({"marginal_every": 0}, InputError, "marginal_every"),
         ({"relinearize_skip": 0}, InputError, "relinearize_skip must be a whole number from 1"),
