@@ -134,10 +134,11 @@ def test_names_and_parts():
         ("mrclam10", "unknown recorded dataset 'mrclam10'; did you mean"),
         ("mrclam1/robot6", "unknown part of mrclam1 'robot6'"),
         ("mrclam1/", "unknown part of mrclam1 ''"),
-        ("lego/robot1", "unknown part of lego 'robot1'"),
     ):
         with pytest.raises(UnknownNameError, match=said):
             load_recorded(name)
+    with pytest.raises(InputError, match="lego has no parts, so no lego/robot1"):
+        load_recorded("lego/robot1")
 
 
 @pytest.mark.parametrize("name", WHEEL)
@@ -148,6 +149,17 @@ def test_what_comes_with_gtsam_is_here_whatever_the_variable_says(name, monkeypa
     assert told["here"].startswith("yes, in ")
     assert "gtsam package" in told["published"]
     assert "folder" not in told
+
+
+@pytest.mark.parametrize("name", WHEEL)
+def test_a_folder_for_several_sets_is_for_those_in_the_wheel_if_it_has_them(name, tmp_path):
+    recorded = RECORDED[name]
+    assert recorded.given(name, None) is None
+    assert recorded.given(name, tmp_path) is None
+    assert recorded.given(name, tmp_path / "typo") == tmp_path / "typo"
+    put(tmp_path, *recorded.files)
+    assert recorded.given(name, tmp_path) == tmp_path
+    assert RECORDED["lego"].given("lego", tmp_path / "other") == tmp_path / "other"
 
 
 @each_published

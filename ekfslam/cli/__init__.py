@@ -381,11 +381,13 @@ def datasets(
 
     if name is not None:
         recorded, _ = of_name(name)
-        print_list(recorded.told(name.partition("/")[0], data))
+        whole = name.partition("/")[0]
+        print_list(recorded.told(whole, recorded.given(whole, data)))
         return
     rows = [(each, describe_scenario(each)) for each in scenarios()]
     for each, recorded in RECORDED.items():
-        missing = "" if recorded.is_here(each, data) else f" [not here: ekfslam datasets {each}]"
+        here = recorded.is_here(each, recorded.given(each, data))
+        missing = "" if here else f" [not here: ekfslam datasets {each}]"
         rows.append((each, f"{recorded.description}{missing}"))
     print_list(rows)
 

@@ -27,11 +27,15 @@ def of_name(name: str) -> tuple[Recorded, str]:
     ------
     UnknownNameError
         For an unknown name or part.
+    InputError
+        For a part of a set that has none.
     """
     whole, slash, part = name.partition("/")
     if whole not in RECORDED:
         raise UnknownNameError("recorded dataset", whole, RECORDED)
     recorded = RECORDED[whole]
+    if slash and not recorded.parts:
+        raise InputError(f"{whole} has no parts, so no {name}")
     if slash and part not in recorded.parts:
         raise UnknownNameError(f"part of {whole}", part, recorded.parts)
     return recorded, part

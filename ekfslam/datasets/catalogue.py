@@ -70,6 +70,14 @@ class Recorded(NamedTuple):
                 raise FileFormatError(f"{name}: {folder} is a folder of {other}, not of {name}")
         return found
 
+    def given(self, name: str, path: str | Path | None) -> str | Path | None:
+        """A path given for several sets as far as it is for this one.
+
+        None for a set inside the gtsam wheel if the folder does not have it.
+        """
+        mine = path is None or self.published or not Path(path).is_dir() or self.is_here(name, path)
+        return path if mine else None
+
     @property
     def folder_names(self) -> set[str]:
         """Names that the folder itself may have."""
@@ -114,7 +122,7 @@ class Recorded(NamedTuple):
         if self.published:
             place = f"in the folder of --data or {VARIABLE}, or that folder itself"
             rows.append(("folder", f"{' or '.join(self.folders)}, {place}"))
-        wheel = "inside the gtsam package, and read from there without --data"
+        wheel = "inside the gtsam package, and read from there unless --data has it"
         rows.append(("published", self.published or wheel))
         return rows
 

@@ -142,7 +142,9 @@ def _read_log(path: Path) -> tuple[Table, Table, np.ndarray]:
     step = []
     for number, (name, *words) in lines_of(path):
         if name not in RECORDS:
-            raise FileFormatError(f"{path}, line {number}: unknown record {name[:40]!r}")
+            raise FileFormatError(
+                f"{path}, line {number}: unknown record {name[:40]!r}; known are ODOMETRY, SENSOR"
+            )
         if name == "SENSOR":
             step.append(len(rows["ODOMETRY"]))
         rows[name].append(numbers(path, number, words, RECORDS[name], name))

@@ -267,10 +267,10 @@ def compare(
 
 
 def _opened(source: Any, seed: int, path: str | Path | None) -> Dataset:
-    """A dataset; the path is for those that are recorded and do not come with a package."""
+    """A dataset; the path is for those that are recorded."""
     name = str(source).partition("(")[0].partition("/")[0].strip()
-    its_own = name in RECORDED and (RECORDED[name].published or RECORDED[name].is_here(name, path))
-    return open_dataset(source, seed, path if its_own else None)
+    given = RECORDED[name].given(name, path) if name in RECORDED else None
+    return open_dataset(source, seed, given)
 
 
 def _listed(value: Any) -> list[Any]:
