@@ -225,9 +225,8 @@ def _read(path: Path) -> tuple[Table, Table, np.ndarray]:
             seen.add(path, line, words, LANDMARK)
             step.append(len(steps.lines))
         else:
-            raise FileFormatError(
-                f"{path}, line {line.number}: unknown record {name[:40]!r}; known are STEP, LANDMARK_C"
-            )
+            said = f"unknown record {name[:40]!r}; known are STEP, LANDMARK_C"
+            raise FileFormatError(f"{path}, line {line.number}: {said}")
     if not steps.lines:
         raise FileFormatError(f"{path}: holds no STEP")
     motions, sightings = steps.table(path, STEP), seen.table(path, LANDMARK)
