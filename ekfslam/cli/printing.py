@@ -50,7 +50,7 @@ def print_summary(summary: pd.DataFrame, notes: Mapping[str, Sequence[str]] | No
                 console.print(escape(f"  {row['estimator']}: {row['message']}"), style="dim")
         for note in (notes or {}).get(name, ()):
             console.print(Padding(escape(note), (0, 0, 0, 2)), style="dim")
-        if _associated(part) and part["landmarks_estimated"].notna().any():  # somebody has a map
+        if _associated(part):
             once = part.drop_duplicates(["estimator", *who])
             # Who localizes on a map that is given decides, too, and estimates no landmark.
             told = once[["landmarks_estimated", "association_precision"]].notna().any(axis=1)
