@@ -270,7 +270,7 @@ def test_options_of_estimators_withheld_identities_and_who_was_taken_for_whom(co
 
 
 def test_who_localizes_takes_somebody_for_somebody_too(command, small):
-    words = ["--estimators", "ekf,ekf-localization", "--withhold-ids"]
+    words = ["--estimators", "ekf-localization,dead-reckoning", "--withhold-ids"]
     shown = command("compare", small, *words, "--out", "out", "--no-figures").out
     (written,) = cells(shown.split("who was taken for whom")[1], "ekf-localization")
     summary = tables.read_csv("summary", small.parent / "out" / "summary.csv")
@@ -278,6 +278,8 @@ def test_who_localizes_takes_somebody_for_somebody_too(command, small):
     scores = [row[f"association_{c}"] for c in ("precision", "recall")]
     assert written[0] == "nearest"
     assert [float(word) for word in written[1:]] == pytest.approx(scores, abs=1e-4)
+    alone = ["--estimators", "dead-reckoning", "--withhold-ids"]
+    assert "who was taken" not in command("compare", small, *alone).out
 
 
 def test_nothing_is_said_of_identities_that_are_given(command, small):
