@@ -35,9 +35,11 @@ bars: $(VENV)/.installed
 study: $(VENV)/.installed
 	$(BIN)/ekfslam study association
 
-# Runs the campaigns of docs/consistency.md, or what is left of them: under an hour on two cores.
+# Runs the campaigns of docs/consistency.md and docs/fastslam.md, or what is left of them: about an
+# hour on two cores.
 campaigns: $(VENV)/.installed
-	for campaign in hard-loop loop-15 car-loop heading-sweep circle loop-15-rb; do \
+	for campaign in hard-loop loop-15 car-loop heading-sweep circle loop-15-rb \
+	    particles particles-or-not; do \
 	  $(BIN)/ekfslam campaign experiments/$$campaign.toml --out results/$$campaign --workers 2 || exit 1; \
 	done
 

@@ -12,15 +12,17 @@ from ekfslam.experiments.reading import load_campaign
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "consistency.md").read_text(encoding="utf-8")
-CAMPAIGNS = tuple(sorted(file.stem for file in (ROOT / "experiments").glob("*.toml")))
+CAMPAIGNS = ("hard-loop", "loop-15", "car-loop", "heading-sweep", "circle", "loop-15-rb")
 STARTS = tuple(f"{angle} deg" for angle in ("0.1", "1", "2", "3", "5", "10"))
+ISAM2 = "gtsam-isam2"
 FAMILY = ("ekf", "iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
 CONSISTENT = ("ekf-fej", "ekf-oc", "ekf-ri")
 
 
 def summary(name: str) -> pd.DataFrame:
     table = pd.read_csv(ROOT / "results" / name / "summary.csv")
-    names = table["estimator"].where(table["series"] != "smoothed", table["estimator"] + " (all)")
+    short = table["estimator"].str.replace(r"\(marginal_every=\d+\)", "", regex=True)
+    names = short.where(table["series"] != "smoothed", short + " (all)")
     return table.set_index([table["scenario"], names])
 
 
@@ -32,6 +34,11 @@ def start(angle: str) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
+    """Short, and empty where there is none."""
+    if np.isnan(value):
+        return ""
+    if abs(value) >= 1e5:
+        return f"{value:.1e}".replace("e+0", "e")
     return f"{value:.{digits}g}" if abs(value) < 100 else f"{value:.0f}"
 
 
@@ -102,7 +109,7 @@ def rows() -> list[str]:
         found += [common_row(key, row) for key, row in summary(name).loc[label].iterrows()]
     for angle in STARTS:
         table = summary("heading-sweep").loc[start(angle)]
-        found += [[angle, *sweep_row(key, table.loc[key])] for key in ("ekf", "ekf-ri")]
+        found += [[angle, *sweep_row(key, table.loc[key])] for key in ("ekf", "ekf-ri", ISAM2)]
     found += [circle_row(key, row) for key, row in summary("circle").loc["circle"].iterrows()]
     table = summary("loop-15-rb").loc["loop-15-rb"]
     found += [against_gtsam_row(key, row) for key, row in table.iterrows()]
@@ -121,7 +128,8 @@ def test_every_campaign_is_on_the_page_and_its_results_are_of_its_file(name):
     table = summary(name)
     assert set(table["scenario"]) == {variant.label for variant in campaign.variants}
     assert set(table["estimator"]) == set(campaign.estimators)
-    assert (table["runs"] == len(campaign.seeds)).all()
+    wanted = table["estimator"].map(lambda estimator: len(campaign.seeds_of(estimator)))
+    assert (table["runs"] == wanted).all()
     assert not table[["failed", "skipped"]].to_numpy().any()
     stored = pd.read_json(ROOT / "results" / name / "config.json", typ="series")
     hashes = {entry["label"]: entry["hash"] for entry in stored["scenarios"]}
@@ -150,13 +158,13 @@ def test_on_the_small_loop_only_the_standard_filters_are_overconfident():
     for name in (*CONSISTENT, "ekf-robocentric"):
         assert abs(nees[name] - nees["ekf-ideal"]) <= 0.20
     nis = summary("loop-15").loc["loop-15", "nis_per_dof"]
-    assert nis.between(0.98, 1.03).all()
+    assert nis[list(FAMILY)].between(0.98, 1.03).all()
 
 
 @pytest.mark.parametrize("name", ["loop-15", "car-loop"])
 def test_with_little_noise_all_filters_are_consistent(name):
     nees = pose_nees(name, f"{name} quiet")
-    assert set(nees.index) == set(FAMILY)
+    assert set(nees.index) > set(FAMILY)
     assert nees.between(2.6, 3.8).all()
 
 

@@ -50,10 +50,10 @@ def print_summary(summary: pd.DataFrame, notes: Mapping[str, Sequence[str]] | No
                 console.print(escape(f"  {row['estimator']}: {row['message']}"), style="dim")
         for note in (notes or {}).get(name, ()):
             console.print(Padding(escape(note), (0, 0, 0, 2)), style="dim")
-        if _associated(part):
-            once = part.drop_duplicates(["estimator", *who])
-            # Who localizes on a map that is given decides, too, and estimates no landmark.
-            told = once[["landmarks_estimated", "association_precision"]].notna().any(axis=1)
+        once = part.drop_duplicates(["estimator", *who])
+        # Who localizes on a map that is given decides, too, and estimates no landmark.
+        told = once[["landmarks_estimated", "association_precision"]].notna().any(axis=1)
+        if _associated(part) and told.any():
             once = once[told]
             once = once.assign(
                 landmarks_undetermined=once["landmarks_undetermined"].replace(0, pd.NA)
