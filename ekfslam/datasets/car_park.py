@@ -203,10 +203,12 @@ def load(
         true_map=beacons,
         true_landmark=identified(course, step, points, log.beacons, NEAR, WINDOW, DRIFT),
         provenance="Australian Centre for Field Robotics, University of Sydney; J. Nieto, "
-        "J. Guivant and E. Nebot, SLAM summer schools 2002 to 2006; read: "
-        f"{len(log.scans)} scans with {len(step)} reflectors, {len(log.odometry)} rows of "
-        f"odometry, {len(log.fixes)} fixes, {len(log.beacons)} beacons",
-        notes=NOTES,
+        "J. Guivant and E. Nebot, SLAM summer schools 2002 to 2006",
+        notes=(
+            f"Read: {len(log.scans)} scans with {len(step)} reflectors, {len(log.odometry)} rows "
+            f"of odometry, {len(log.fixes)} fixes, {len(log.beacons)} beacons.",
+            *NOTES,
+        ),
     )
 
 

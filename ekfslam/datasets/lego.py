@@ -205,9 +205,13 @@ def load(
         true_map=cylinders,
         true_landmark=identities,
         provenance="robot4 of the course SLAM lectures, C. Brenner, ikg, Leibniz University "
-        f"Hannover, 2012; read: {len(log.scans)} scans, {len(values)} finds in them, "
-        f"{len(cylinders)} known cylinders",
-        notes=NOTES,
+        "Hannover, 2012",
+        notes=(
+            f"Read: {len(log.scans)} scans with {len(values)} cylinders in them, "
+            f"{len(log.ticks)} rows of the motors, {len(log.reference)} reference positions, "
+            f"{len(cylinders)} known cylinders.",
+            *NOTES,
+        ),
     )
 
 
