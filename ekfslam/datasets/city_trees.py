@@ -86,10 +86,12 @@ def load(path: str | Path | None = None, part: str = "") -> Dataset:
     near = np.abs(moves[:, 2] - turns) <= PRINTED
     moves[near, 2] = turns[near]
     truth = geo.integrate(np.zeros(3), moves)
+    trees = _true_map(exact, truth)
     return replace(
         dataset,
         robots=(replace(dataset.robot, truth=truth),),
-        true_map=_true_map(exact, truth),
+        known_map=trees,
+        true_map=trees,
         true_landmark=dataset.observations.landmark,
         notes=dataset.notes[:1],
     )

@@ -103,7 +103,7 @@ def load(
     Returns
     -------
     Dataset
-        One robot with its truth, ranges of known beacons, and their true map.
+        One robot with its truth, ranges of known beacons, and their surveyed map.
 
     Raises
     ------
@@ -132,6 +132,7 @@ def load(
     prior = Prior(truth[0], prior_noise)
     ranges = _by_time(arrays["TD"])
     beacons = arrays["TL"][:, 0].astype(np.int64)
+    surveyed = LandmarkMap(beacons, arrays["TL"][:, 1:])
     seen = ranges[:, 2].astype(np.int64)
     return Dataset(
         name=name,
@@ -144,7 +145,8 @@ def load(
             landmark=seen,
             time=ranges[:, 0],
         ),
-        true_map=LandmarkMap(beacons, arrays["TL"][:, 1:]),
+        known_map=surveyed,
+        true_map=surveyed,
         true_landmark=seen,
         provenance=f"{path.name} of the gtsam package; J. Djugash, B. Hamner and S. Roth, "
         "Journal of Field Robotics 26(9), 2009",

@@ -125,6 +125,8 @@ def _message(estimate: Estimate, run: Run) -> str:
     nees, known = run.nees, run.headings
     if not known.any():
         nees, known = run.nees_position, run.positions
+    if run.series.covariances is not None:  # where it was not recovered, nothing was skipped
+        known = known & np.isfinite(run.series.covariances).all(axis=(1, 2))
     skipped = 0 if run.series.covariances is None else int(np.isnan(nees[known]).sum())
     note = f"NEES skipped at {skipped} of {int(known.sum())} poses (singular covariance)"
     return "; ".join(filter(None, [estimate.message, note if skipped else ""]))
