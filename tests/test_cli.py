@@ -153,38 +153,6 @@ def test_the_installed_command_and_the_module_are_the_same():
         assert run.stderr.count("\n") == 1
 
 
-# What there is ----------------------------------------------------------------------------------
-
-
-def test_datasets(command):
-    shown = command("datasets")
-    assert shown.status == 0
-    names = ("cloister", "loop-15", "park", "orchard", "team", "victoria-park", "plaza1", "plaza2")
-    for words in (*names, "60 landmarks", "6969 poses", "clutter 0.3", "3 robots"):
-        assert words in shown.out
-
-
-def test_estimators(command):
-    shown = command("estimators")
-    assert shown.status == 0
-    for words in ("ekf", "gtsam-batch", "gtsam-isam2", "dead-reckoning", "baselines.batch"):
-        assert words in shown.out
-
-
-def test_an_estimator_that_cannot_be_loaded_is_listed_with_the_reason(command, monkeypatch):
-    from importlib.metadata import EntryPoint
-
-    from ekfslam import registry
-
-    broken = EntryPoint("broken", "absent_dependency:Thing", registry.GROUP)
-    known = registry.registered()
-    monkeypatch.setattr(registry, "registered", lambda: {**known, "broken": broken})
-    shown = command("estimators")
-    assert shown.status == 0
-    assert re.search("broken .*absent_dependency", shown.out)
-    assert "gtsam-batch" in shown.out
-
-
 # compare ----------------------------------------------------------------------------------------
 
 

@@ -24,8 +24,8 @@ STEPS = 40
 
 SUMMARY = """
     dataset seed robot estimator series association alignment status message steps truth_poses
-    observations landmarks_true landmarks_estimated landmarks_undetermined landmarks_matched landmarks_missed
-    landmarks_spurious landmarks_duplicate landmarks_merged association_precision
+    observations landmarks_true landmarks_estimated landmarks_undetermined landmarks_matched
+    landmarks_missed landmarks_spurious landmarks_duplicate landmarks_merged association_precision
     association_recall ate_position_rmse_m ate_position_max_m ate_heading_rmse_rad
     rpe_position_rmse_m rpe_heading_rmse_rad landmark_rmse_m landmark_max_m nees_pose_mean
     nees_pose_final nees_pose_invariant_mean nees_pose_inside_95 nees_position_mean
