@@ -36,6 +36,10 @@ HELP = """Compare hand-written EKF-SLAM with GTSAM smoothers of the same landmar
 
   ekfslam compare run.npz                       [dim]a dataset from a file[/dim]
 
+  ekfslam datasets                              [dim]what is there to run on[/dim]
+
+  ekfslam compare lego mrclam1/robot3 --data recorded
+
   ekfslam study association                     [dim]who tells trees apart in noise[/dim]
 
   ekfslam campaign my.toml --out results/mine   [dim]many seeds; goes on if stopped[/dim]
