@@ -20,6 +20,7 @@ from ekfslam.datasets import graph_files
 from ekfslam.errors import FileFormatError, InputError, UnknownNameError
 from ekfslam.export import write_g2o
 from ekfslam.filters.ekf import Ekf
+from ekfslam.observations import Observations
 
 WHEEL = Path(gtsam.__file__).parent / "Data"
 
@@ -259,7 +260,7 @@ def test_graphs_are_opened_by_their_names(write):
         ("small.g2o", "VERTEX_SE2 3 0 0 0", "line 14: pose 3 has no odometry"),
         ("small.g2o", "VERTEX_XY 2 0 0", "line 14: vertex 2 is there already"),
         ("small.g2o", "EDGE_SE2_XY 1 9 0 0 1 0 1", "line 14: of landmark 9 there is no vertex"),
-        ("small.g2o", "EDGE_SE2_XY 0 7 2 1 9 0 9", "line 14: landmark 7 is seen twice from pose 0"),
+        ("small.graph", "LANDMARK 0 7 2 1 9 0 9", "line 9: landmark 7 is seen twice from pose 0"),
         ("small.g2o", "EDGE_SE2_XY 1 8 0 0 1 3 1", "line 14: the information is not positive def"),
         ("small.g2o", "EDGE_SE2_XY 1 8 0 0 0 0 1", "line 14: the information is not positive def"),
         ("small.g2o", "EDGE_SE2_XY 1 8 0 0 1 0", "line 14: EDGE_SE2_XY needs 7 numbers, got 6"),
@@ -432,6 +433,21 @@ def test_what_was_loaded_is_written_as_it_was(tmp_path):
     theirs = sorted(zip(tags_again, (n.tolist() for n in numbers_again), strict=True))
     for (tag, mine), (_, back) in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(mine, back, rtol=1e-9, atol=1e-7, err_msg=tag)
+
+
+def test_an_export_of_a_robot_at_rest_loads_back(tmp_path):
+    """It sees the same thing in one step twice, and with the same outcome."""
+    dataset = problem(camera(), known_start=True)
+    seen = dataset.observations
+    rows = np.repeat(np.arange(len(seen)), np.where(np.arange(len(seen)) < 2, 2, 1))
+    times = seen.step[rows] + 0.1 * (np.diff(rows, prepend=-1) == 0)
+    of_rows = {name: getattr(seen, name)[rows] for name in ("step", "values", "landmark", "sensor")}
+    twice = replace(dataset, observations=Observations(**of_rows, time=times), true_landmark=None)
+    write_g2o(twice, tmp_path / "twice.g2o")
+    loaded = graph_files.load(tmp_path / "twice.g2o")
+    assert len(loaded.observations) == len(seen) + 2
+    assert loaded.notes[1].startswith("2 sightings repeat another")
+    assert len(loaded.sensors) == 2
 
 
 def test_an_export_without_sightings_loads_back(tmp_path):

@@ -37,7 +37,9 @@ from, and are not used, but for that of the first pose.
 
 What `ekfslam.export.write_g2o` writes loads back: all robots; sightings as x and y in the body
 frame, of one sensor, or of several where a landmark is seen more than once from a pose; landmarks
-numbered as the vertices are; times as steps.
+numbered as the vertices are; times as steps. A robot that stands still may see the same twice to
+the last digit, so that ``.g2o`` may have such lines, which are counted; in the others they are
+damage.
 """
 
 from __future__ import annotations
@@ -95,6 +97,8 @@ class Format(NamedTuple):
         What a dataset has no place for, by tag.
     letters : bool
         Whether ids are a letter and a number.
+    repeats : bool
+        Whether a landmark may be seen twice from a pose with the same values.
     """
 
     tags: Mapping[str, Tag]
@@ -109,6 +113,7 @@ class Format(NamedTuple):
     order: tuple[int, ...] = ()
     beyond: Mapping[str, str] = {}
     letters: bool = False
+    repeats: bool = False
 
 
 def _timed(tags: Mapping[str, Tag]) -> dict[str, Tag]:
@@ -142,6 +147,7 @@ G2O = Format(
         "EDGE_SE2_POINTXY_OFFSET": "xy",
     },
     noise="information",
+    repeats=True,
 )
 TORO = Format(
     tags={
@@ -276,6 +282,7 @@ def graph_of(path: Path, how: Format, noise: str | None = None) -> Graph:
         priors=_edges(rows[how.priors], noise) if how.priors else NO_PRIORS,
         beyond=beyond,
         named=_letter_and_number if how.letters else str,
+        repeats=how.repeats,
     )
 
 

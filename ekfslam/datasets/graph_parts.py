@@ -90,6 +90,8 @@ class Graph(NamedTuple):
         Further lines that a dataset has no place for, and what they are.
     named : callable
         How the file calls a pose.
+    repeats : bool
+        Whether a landmark may be seen twice from a pose with the same values; else that is damage.
     """
 
     path: Path
@@ -102,6 +104,7 @@ class Graph(NamedTuple):
     priors: Edges = NO_PRIORS
     beyond: Sequence[tuple[int, str]] = ()
     named: Callable[[int], str] = str
+    repeats: bool = False
 
     def refuse(self, line: np.ndarray, bad: np.ndarray, said: Callable[[int], str]) -> None:
         """Name the line of the first bad row, if there is one; `said` takes the row."""

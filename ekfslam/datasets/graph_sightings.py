@@ -34,8 +34,8 @@ def sightings_of(
     Raises
     ------
     FileFormatError
-        For a sighting that no sensor can report, or one that is repeated to the last digit; names
-        the line.
+        For a sighting that no sensor can report, or, where the graph has no repeats, one that is
+        repeated to the last digit; names the line.
     """
     steps = len(order) // robots
     sensors, columns = [], []
@@ -100,7 +100,7 @@ def _told_apart(graph: Graph, seen: Seen, order: np.ndarray, times: Array | None
     keys = np.column_stack([at, edges.end, np.unique(instants, return_inverse=True)[1]])
     graph.refuse(
         edges.line,
-        repeated(np.column_stack([keys, edges.values])),
+        repeated(np.column_stack([keys, edges.values])) & (not graph.repeats),
         lambda row: (
             f"landmark {edges.end[row]} is seen twice from pose "
             f"{graph.named(edges.start[row])}, with the same values"

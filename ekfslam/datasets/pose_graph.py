@@ -93,6 +93,8 @@ def dataset_of(
     sensors, observations = sightings_of(graph, drives.order, drives.robots, times)
     priors, said = _priors(graph, drives, beyond)
     notes = [_counts(drives, observations), *said]
+    if again := int(repeated(_said(observations)).sum()):
+        notes.append(f"{again} sightings repeat another from the same pose to the last digit.")
     if beyond:
         line, what = min(beyond)
         if unsupported == "refuse":
@@ -138,6 +140,12 @@ def _counts(drives: _Drives, seen: Observations) -> str:
         f"Read: {len(drives.order)} poses{of}, {len(seen)} sightings of "
         f"{len(np.unique(seen.landmark))} landmarks."
     )
+
+
+def _said(seen: Observations) -> np.ndarray:
+    """What each sighting says, whatever the sensor that is made up for it."""
+    time = seen.step if seen.time is None else seen.time
+    return np.column_stack([seen.step, seen.robot, seen.landmark, time, seen.values])
 
 
 # Poses --------------------------------------------------------------------------------------------
