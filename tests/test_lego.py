@@ -189,6 +189,10 @@ def test_options_reach_the_models(small):
     [
         {"lags": (0.1,)},
         {"lags": (np.nan, 0.0)},
+        {"lags": (1e9, 0.0)},
+        {"slip": 1e300},
+        {"tick": 1e300},
+        {"prior_sigmas": (1e300, 1.0, 1.0)},
         {"tick": 0.0},
         {"width": -1.0},
         {"slip": -0.1},

@@ -202,6 +202,7 @@ def test_what_was_measured_can_be_overridden():
     [
         ({"range_scale": 0}, "range_scale must be positive and finite, got 0"),
         ({"range_scale": "short"}, "range_scale must be a number"),
+        ({"range_sigma": 1e300}, r"range_sigma must be below 1e\+12"),
         ({"range_sigma": -1.0}, "range_sigma must be positive and finite"),
         ({"gyro_bias": np.nan}, "gyro_bias must be finite"),
         ({"odometry_sigmas": (0.1, 0.1)}, r"odometry_sigmas must have shape \(3,\)"),

@@ -203,6 +203,7 @@ def test_a_clock_that_is_not_ahead_finds_other_poses(write, drive):
     ("options", "said"),
     [
         ({"step": -1}, "step must be a time in seconds"),
+        ({"step": 1e4}, "steps of 10000 s leave one pose"),
         ({"max_range": 0}, "max_range must be positive"),
         ({"max_diameter": np.nan}, "max_diameter must be positive"),
         ({"reference": (1, 2, 3)}, "reference must have shape"),

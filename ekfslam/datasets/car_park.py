@@ -48,7 +48,7 @@ from ekfslam.dataset import Dataset
 from ekfslam.datasets.car import LASER_AT, axle_moves, displaced, first_pose, fixed
 from ekfslam.datasets.catalogue import files_of
 from ekfslam.datasets.identities import identified
-from ekfslam.datasets.options import finite, finite_number, positive, variances
+from ekfslam.datasets.options import delays, finite, finite_number, positive, variances
 from ekfslam.errors import FileFormatError, InputError
 from ekfslam.geometry import Array
 from ekfslam.mat5 import read_arrays, refuse
@@ -161,7 +161,7 @@ def load(
     """
     scale, bias = positive(speed_scale, "speed_scale"), finite_number(range_bias, "range_bias")
     factor, offset = finite(steering, 2, "steering")
-    odometry_lag, fix_lag = finite(lags, 2, "lags")
+    odometry_lag, fix_lag = delays(lags, 2, "lags")
     log = read(path)
     rows = log.odometry * [1.0, scale, factor] + [0.0, 0.0, offset]
     moments = log.scans - odometry_lag

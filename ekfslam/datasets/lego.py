@@ -40,7 +40,7 @@ from ekfslam.dataset import Dataset
 from ekfslam.datasets.catalogue import files_of
 from ekfslam.datasets.cylinders import centres, find_cylinders
 from ekfslam.datasets.identities import identified
-from ekfslam.datasets.options import finite, positive, variances
+from ekfslam.datasets.options import delays, finite, positive, variances
 from ekfslam.datasets.resampling import interpolated
 from ekfslam.datasets.text import Table, lines_of, numbers
 from ekfslam.errors import FileFormatError
@@ -164,6 +164,7 @@ def load(
     scale = positive(reference_scale, "reference_scale")
     centre = finite(reference_centre, 2, "reference_centre")
     first, scanner = finite(start, 3, "start"), finite(mount, 3, "mount")
+    variances((slip,), 1, "slip")
     log = read(path)
     ticks, reference = _paired(log, lags)
     wheels = positive(tick, "tick") * np.diff(ticks, axis=0)
@@ -231,7 +232,7 @@ def _paired(log: Log, lags: Sequence[float] | None) -> tuple[Array, Array]:
     """Ticks and reference positions at the moments of the scans, both (n, 2)."""
     if lags is None:
         return log.ticks, log.reference
-    scan_lag, reference_lag = finite(lags, 2, "lags")
+    scan_lag, reference_lag = delays(lags, 2, "lags")
     moments = log.scan_times - scan_lag
     ticks = np.column_stack([np.interp(moments, log.motor_times, t) for t in log.ticks.T])
     known = np.column_stack([log.reference, np.full(len(log.reference), np.nan)])

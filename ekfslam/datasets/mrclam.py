@@ -62,7 +62,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ekfslam.checks import checked_array
 from ekfslam.dataset import Dataset
 from ekfslam.datasets.catalogue import files_of
 from ekfslam.datasets.mrclam_files import (
@@ -87,7 +86,7 @@ from ekfslam.datasets.mrclam_steps import (
     together,
     truth_at,
 )
-from ekfslam.datasets.options import duration, positive, variances
+from ekfslam.datasets.options import delays, duration, finite, positive, variances
 from ekfslam.errors import FileFormatError, InputError, UnknownNameError
 from ekfslam.models.sensors import Sensor
 from ekfslam.robots import Robot
@@ -113,7 +112,7 @@ BEARING_SIGMA, BEARING_SIGMAS = 0.015, {1: 0.03}  # by robot, where another
 PRIOR_SIGMAS = (0.01, 0.01, 0.01)
 MAX_RANGE, FIELD_OF_VIEW = 10.0, 1.2  # 9.61 m and 0.591 rad to a side are the most in sets 1 and 2
 MISREAD = 0.25
-LARGEST = (10.0, 10.0, 10.0, 1.0)  # lag, shift, and bias of the range
+LARGEST_BIAS = (10.0, 1.0)  # of a range: a and b
 ROUNDING = 1e-6  # of a step, by which the last pose may be late
 FINEST = 0.01  # [s] that a step has at least; commands come every 0.015 s
 CORRELATED_FOR = 5.0
@@ -204,13 +203,13 @@ def load(
     if part is not None and part not in [f"robot{robot}" for robot in ROBOTS]:
         raise UnknownNameError("part of MRCLAM", part, [f"robot{robot}" for robot in ROBOTS])
     _check(step, every, correlated, misread_beyond, v_scale, w_scale)
-    small = checked_array((lag, image_shift, *range_bias), float, (4,), "lag, shift and bias")
-    if not (np.abs(small) < LARGEST).all():
-        raise InputError("lag and image_shift must be below 10 s, range_bias below 10 m and 1")
+    delays((lag, image_shift), 2, "lag and image_shift")
+    if not (np.abs(finite(range_bias, 2, "range_bias")) < LARGEST_BIAS).all():
+        raise InputError(f"range_bias must be below 10 m and 1, got {range_bias!r}")
     rates = variances(odometry_sigmas, 3, "odometry_sigmas")
     prior = variances(prior_sigmas, 3, "prior_sigmas")
 
-    name = f"mrclam{number}"
+    name = f"mrclam{int(number)}"
     files = files_of(name, path)
     who = read_who(files[BARCODES])
     landmarks, said = read_landmarks(files[LANDMARKS], who, number)

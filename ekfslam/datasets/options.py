@@ -11,6 +11,9 @@ from ekfslam.checks import checked_array, checked_number
 from ekfslam.errors import InputError
 from ekfslam.geometry import Array
 
+MOST = 1e12  # of any unit: squares of what is beyond may overflow
+LATEST = 10.0  # [s] that one clock of a log may be behind another
+
 
 def variances(sigmas: Sequence[float], count: int, name: str) -> Array:
     """Covariance (count, count) of independent numbers from their standard deviations.
@@ -23,6 +26,7 @@ def variances(sigmas: Sequence[float], count: int, name: str) -> Array:
     array = checked_array(sigmas, float, (count,), name)
     if not (np.isfinite(array) & (array >= 0)).all():
         raise InputError(f"{name} must be standard deviations, got {sigmas!r}")
+    _check_size(array, name)
     return np.diag(array**2)
 
 
@@ -37,6 +41,21 @@ def finite(values: Sequence[float], count: int, name: str) -> Array:
     array = checked_array(values, float, (count,), name)
     if not np.isfinite(array).all():
         raise InputError(f"{name} must be {count} finite numbers, got {values!r}")
+    _check_size(array, name)
+    return array
+
+
+def delays(values: Sequence[float], count: int, name: str) -> Array:
+    """So many times [s] between clocks of one log, (count,), below 10 s.
+
+    Raises
+    ------
+    InputError
+        If they are not.
+    """
+    array = finite(values, count, name)
+    if not (np.abs(array) < LATEST).all():
+        raise InputError(f"{name} must be below {LATEST:g} s, got {values!r}")
     return array
 
 
@@ -51,6 +70,7 @@ def positive(value: Any, name: str) -> float:
     number = checked_number(value, name)
     if not 0 < number < np.inf:
         raise InputError(f"{name} must be positive and finite, got {value}")
+    _check_size(number, name)
     return number
 
 
@@ -65,6 +85,7 @@ def finite_number(value: Any, name: str) -> float:
     number = checked_number(value, name)
     if not np.isfinite(number):
         raise InputError(f"{name} must be finite, got {value}")
+    _check_size(number, name)
     return number
 
 
@@ -93,3 +114,9 @@ def one_of(value: Any, choices: Sequence[str], name: str) -> str:
     if value not in choices:
         raise InputError(f"{name} must be {' or '.join(map(repr, choices))}, got {value!r}")
     return str(value)
+
+
+def _check_size(numbers: Array | float, name: str) -> None:
+    """Refuse numbers whose squares may be none."""
+    if np.max(np.abs(numbers), initial=0.0) > MOST:
+        raise InputError(f"{name} must be below {MOST:g}")

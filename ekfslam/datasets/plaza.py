@@ -112,7 +112,7 @@ def load(
     InputError
         For an option that makes no sense.
     """
-    if number not in MEASURED:
+    if number not in tuple(MEASURED):
         raise InputError(f"there are Plaza 1 and 2, not {number!r}")
     measured = MEASURED[number]
     drift = finite_number(measured.gyro_bias if gyro_bias is None else gyro_bias, "gyro_bias")
@@ -120,7 +120,7 @@ def load(
     scale = positive(range_scale, "range_scale")
     along, across, turn = np.diag(variances(odometry_sigmas, 3, "odometry_sigmas"))
     prior_noise = variances(prior_sigmas, 3, "prior_sigmas")
-    name = f"plaza{number}"
+    name = f"plaza{int(number)}"
     path = files_of(name, path)[f"Plaza{number}_.mat"]
     arrays = _read(path)
     times = arrays["GT"][:, 0]

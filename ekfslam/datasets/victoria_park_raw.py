@@ -57,7 +57,7 @@ from ekfslam.datasets.catalogue import RECORDED
 from ekfslam.datasets.options import duration, finite, finite_number, positive, variances
 from ekfslam.datasets.places import located, there
 from ekfslam.datasets.text import Table, read_table, whole
-from ekfslam.errors import FileFormatError
+from ekfslam.errors import FileFormatError, InputError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
@@ -149,6 +149,8 @@ def load(
             f"{trees.path}: no scan falls into the time of {odometry.path.name}, {start:g} s to "
             f"{end:g} s, with a clock that is {clock:g} s ahead"
         )
+    if len(times) < 2 <= len(scans) and step > 0:
+        raise InputError(f"steps of {step:g} s leave one pose of {len(scans)} scans")
     moves = displaced(axle_moves(odometry.values, times, control_noise), at)
     covariances = moves.covariances + step_noise
     used = np.isin(scanned, times)
