@@ -6,6 +6,7 @@ import json
 
 import pandas as pd
 import pytest
+from mrclam_made import write_set
 
 from ekfslam.errors import FileFormatError, InputError, UnknownNameError
 from ekfslam.experiments.recorded import (
@@ -51,8 +52,9 @@ def test_sets_of_the_package_run_and_what_does_not_apply_says_why(tmp_path):
     found = recorded_study(tmp_path, ["plaza2"], QUICK)
     rows = found.summary.set_index("estimator")
     assert rows.loc["dead-reckoning", "status"] in ("ok", "diverged")
-    assert (rows.loc[["ekf-localization", "ekf-ideal"], "status"] == "skipped").all()
-    assert "map" in rows.loc["ekf-localization", "message"]
+    assert rows.loc["ekf-localization", "status"] == "ok"
+    assert rows.loc["ekf-ideal", "status"] == "skipped"
+    assert "determine a point" in rows.loc["ekf-ideal", "message"]
     aligned = rows.loc["dead-reckoning", "aligned_ate_position_rmse_m"]
     assert 0 < aligned < rows.loc["dead-reckoning", "ate_position_rmse_m"]
     assert found.missing == {}
@@ -75,6 +77,16 @@ def test_sets_that_are_not_here_are_told(tmp_path, monkeypatch):
         recorded_study(tmp_path)
     with pytest.raises(FileFormatError, match="lego: give the folder"):
         recorded_study(tmp_path, ["lego"])
+
+
+def test_a_robot_whose_files_are_not_here_is_told(tmp_path, monkeypatch, rng):
+    write_set(tmp_path / "MRCLAM_Dataset1", rng)
+    cases = (Case("mrclam1/robot3"), Case("mrclam1/robot5"))
+    monkeypatch.setattr("ekfslam.experiments.recorded.CASES", cases)
+    who = ["dead-reckoning"]
+    found = recorded_study(tmp_path / "out", estimators=who, path=tmp_path)
+    assert list(found.summary["dataset"]) == ["mrclam1/robot3"]
+    assert list(found.missing) == ["mrclam1/robot5"]
 
 
 def test_two_processes_find_the_same(tmp_path, monkeypatch):

@@ -242,7 +242,7 @@ def _missing(name: str, path: str | Path | None) -> str:
     """Why a set is not here, empty if it is."""
     whole = name.partition("/")[0]
     recorded = RECORDED[whole]
-    if recorded.is_here(whole, _path(name, path)):
+    if recorded.is_here(name, _path(name, path)):
         return ""
     return "; ".join(f"{key}: {text}" for key, text in recorded.told(whole, path)[-2:])
 
