@@ -16,8 +16,8 @@ def test_looks_differ_and_do_not_depend_on_the_process():
     assert len({look.color for look in LOOKS.values()}) == len(LOOKS)
     assert len({look.marker for look in LOOKS.values()}) == len(LOOKS)
     # Python's own hash of a string changes from one process to the next.
-    assert plots.look("fastslam") == ("#44AA99", "H", ":")
-    assert plots.look("fej-ekf") == ("#661100", ">", "--")
+    assert plots.look("fastslam") == ("#117733", "H", ":")
+    assert plots.look("fej-ekf") == ("#997700", ">", "--")
     taken = {look.color for look in LOOKS.values()}
     assert not {plots.look(f"filter-{k}").color for k in range(50)} & taken
 

@@ -170,6 +170,7 @@ OTHER = {
     "wrong_ids": 0.1,
     "descriptors": [0.1, 0.2],
     "descriptor_sigma": 0.1,
+    "known_map": 0.5,
 }
 
 

@@ -74,7 +74,7 @@ LOOKS: Mapping[str, Look] = {
     "gtsam-batch": Look(_GREEN, "s", "--"),
     "gtsam-isam2": Look(_ORANGE, "^", "-."),
     "gtsam-fixed-lag": Look(_INDIGO, "<", "-."),
-    "fastslam1": Look("#44AA99", ">", "--"),
+    "fastslam1": Look("#1A85FF", ">", "--"),
     "fastslam2": Look("#661100", "d", "-"),
     "ekf-localization": Look("#CC6677", "p", "-"),
     "gtsam-localization": Look("#AA4499", "H", "--"),
