@@ -60,6 +60,11 @@ def test_the_page_shows_the_stored_table(dataset):
     assert page_row(dataset) in PAGE
 
 
+@pytest.mark.parametrize("dataset", ["mrclam2/robot1", "lego", "car-park", "city-trees"])
+def test_so_does_the_readme(dataset):
+    assert page_row(dataset) in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
 def test_every_set_has_a_row_for_every_estimator():
     assert "ekfslam study recorded --data FOLDER --out results/recorded" in PAGE
     for case in CASES:
