@@ -12,7 +12,7 @@ from typing import Any
 from ratios import at_least
 
 CAMPAIGN = Path(__file__).parents[1] / "experiments" / "loop-15.toml"
-SEEDS = 400
+SEEDS = 60
 MINUTE = 60.0
 
 
