@@ -30,7 +30,7 @@ class GtsamBatch:
 
     Started from dead reckoning it is no baseline: on Victoria Park it stops in a local minimum.
     Landmarks seen by bearings or ranges alone are in the graph if all their sightings together,
-    from the poses of the start, determine them (`ekfslam.models.landmarks.fix`).
+    from the poses of the start, determine them (`ekfslam.models.fix.fix`).
 
     Parameters
     ----------

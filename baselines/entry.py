@@ -16,7 +16,7 @@ from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import LandmarkEstimates
 from ekfslam.geometry import Array
-from ekfslam.models.landmarks import fix
+from ekfslam.models.fix import fix
 from ekfslam.models.sensors import BEARING, RANGE, VIEWS
 
 PosesAt = Callable[[list[int]], Array]

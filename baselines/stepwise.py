@@ -29,7 +29,7 @@ class Stepwise:
     """What the smoothers that are fed step by step have in common.
 
     Landmarks seen by bearings or ranges alone enter at the step at which their sightings so far,
-    from the poses as they are known then, determine them (`ekfslam.models.landmarks.fix`).
+    from the poses as they are known then, determine them (`ekfslam.models.fix.fix`).
 
     Parameters
     ----------

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import sys
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from ekfslam.cli import main
 from ekfslam.dataset import Dataset, LandmarkMap, Prior, Robot
 from ekfslam.datasets import RECORDED, load_recorded
 from ekfslam.models.motion import MotionModel
@@ -18,6 +21,31 @@ from ekfslam.observations import Observations
 def rng():
     """A seeded generator: the same draws in every run."""
     return np.random.default_rng(20240607)
+
+
+class Run(NamedTuple):
+    """What a command printed, and its exit status."""
+
+    out: str
+    err: str
+    status: int
+
+
+@pytest.fixture
+def run_command(monkeypatch, capsys):
+    """Run the command in this process."""
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["ekfslam", *map(str, words)])
+        status = 0
+        try:
+            main()
+        except SystemExit as stop:
+            status = stop.code or 0
+        printed = capsys.readouterr()
+        return Run(printed.out, printed.err, status)
+
+    return run
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ from baselines.isam2 import GtsamIsam2
 from baselines.landmark_graph import LandmarkGraph
 from ekfslam import geometry as geo
 from ekfslam.estimates import OK, Decision, LandmarkEstimates
-from ekfslam.models.landmarks import fix
+from ekfslam.models.fix import fix
 from ekfslam.simulation import simulate
 
 SENSORS = {

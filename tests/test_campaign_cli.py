@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import re
-import sys
-from dataclasses import dataclass
 
 import pytest
-
-from ekfslam.cli import main
 
 FILE = """
 seeds = 2
@@ -23,34 +19,15 @@ metrics = ["ate_position_rmse_m"]
 """
 
 
-@dataclass
-class Run:
-    """What a command printed, and its exit status."""
-
-    out: str
-    err: str
-    status: int
-
-
 @pytest.fixture
-def command(tmp_path, monkeypatch, capsys):
+def command(tmp_path, monkeypatch, run_command):
     """Run the command in this process, in a folder with a campaign file."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text(FILE)
     for name in ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS", "TERMINAL_WIDTH", "COLUMNS"):
         monkeypatch.delenv(name, raising=False)
 
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["ekfslam", *map(str, words)])
-        status = 0
-        try:
-            main()
-        except SystemExit as stop:
-            status = stop.code or 0
-        printed = capsys.readouterr()
-        return Run(printed.out, printed.err, status)
-
-    return run
+    return run_command
 
 
 @pytest.mark.parametrize("name", ["campaign", "summary"])

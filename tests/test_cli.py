@@ -6,28 +6,18 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import ekfslam
-from ekfslam.cli import main
 from ekfslam.evaluation import tables
 
 HEAVY = ("numpy", "pandas", "scipy", "matplotlib", "numba", "gtsam")
 # What a shell may set to force colours into a pipe.
 PLAIN = {"PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/"), "TERM": "xterm"}
-
-
-@dataclass
-class Run:
-    """What a command printed, and its exit status."""
-
-    out: str
-    err: str
-    status: int
 
 
 @pytest.fixture
@@ -41,19 +31,13 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def command(folder, monkeypatch, capsys):
+def command(folder, run_command):
     """Run the command in this process."""
 
     def run(*words):
-        monkeypatch.setattr(sys, "argv", ["ekfslam", *map(str, words)])
-        status = 0
-        try:
-            main()
-        except SystemExit as stop:
-            status = stop.code or 0
-        printed = capsys.readouterr()
+        printed = run_command(*words)
         assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f\x9b]", printed.out + printed.err)
-        return Run(printed.out, printed.err, status)
+        return printed
 
     return run
 

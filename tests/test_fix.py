@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import least_squares
 
 from ekfslam import geometry as geo
-from ekfslam.models.landmarks import MOST, RIVAL, SHARE, fix
+from ekfslam.models.fix import MOST, RIVAL, SHARE, fix
 from ekfslam.models.sensors import BEARING, RANGE
 
 each_kind = pytest.mark.parametrize("kind", [BEARING, RANGE], ids=["bearing", "range"])

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import re
-import sys
 from importlib.metadata import EntryPoint
 
 import pytest
 
 from ekfslam import registry
-from ekfslam.cli import main
 from ekfslam.datasets import RECORDED
 
 
 @pytest.fixture
-def command(tmp_path, monkeypatch, capsys):
+def command(tmp_path, monkeypatch, run_command):
     """Run the command in this process, on a wide page; its output, errors and exit status."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "300")
@@ -22,14 +20,8 @@ def command(tmp_path, monkeypatch, capsys):
         monkeypatch.delenv(name, raising=False)
 
     def run(*words):
-        monkeypatch.setattr(sys, "argv", ["ekfslam", *map(str, words)])
-        status = 0
-        try:
-            main()
-        except SystemExit as stop:
-            status = stop.code or 0
-        printed = capsys.readouterr()
-        return " ".join(printed.out.split()), printed.err, status
+        told = run_command(*words)
+        return " ".join(told.out.split()), told.err, told.status
 
     return run
 

@@ -26,20 +26,14 @@ from ekfslam.filters.ekf_slam import (
     update,
     write_step,
 )
+from ekfslam.filters.evidence import Evidence, gather
 from ekfslam.filters.exchange import exchanged, starting
 from ekfslam.filters.gaussian_map import GaussianMap
 from ekfslam.filters.initiation import extend, note_corrections, note_points
 from ekfslam.filters.measure import BANKED, INVERSE_DEPTH, POINT, POSE
 from ekfslam.filters.options import BANK, DELAYED, GLOBAL, JOINT, OF_POINTS, Options
 from ekfslam.filters.partial import prepare_partial, see_to_partial
-from ekfslam.filters.recognition import (
-    Evidence,
-    decide_jointly,
-    gather,
-    recognise,
-    robots_seen,
-    settle,
-)
+from ekfslam.filters.recognition import decide_jointly, recognise, robots_seen, settle
 from ekfslam.filters.upkeep import upkeep
 from ekfslam.filters.variants import (
     ALONE,

@@ -18,7 +18,7 @@ from ekfslam.filters.kernels import append, correct, project, times_transposed
 from ekfslam.filters.measure import POINT, POSE, expect, foresee, innovate, moved, placed
 from ekfslam.filters.upkeep import drop
 from ekfslam.geometry import Array
-from ekfslam.models.landmarks import fix
+from ekfslam.models.fix import fix
 
 NEW, REJECTED, KEPT = int(Decision.NEW), int(Decision.REJECTED), int(Decision.DELAYED)
 OBSERVED, CREATED = Linearizations.OBSERVED, Linearizations.CREATED
