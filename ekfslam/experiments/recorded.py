@@ -213,7 +213,7 @@ def _run(
 ) -> tuple[pd.DataFrame, tuple[str, tuple[str, ...]]]:
     """A set with its estimators: its folder, rows of the summary, name and notes."""
     subjects = [_Titled(name, text) for name, text in _asked(case, estimators).items()]
-    found = compare([case.source], subjects, path=_path(case.dataset, path))
+    found = compare([case.source], subjects, path=path)
     folder = out / case.dataset.replace("/", "-")
     found.save(folder, figures=False, kept=KEPT)
     _shown(found).save(folder, kept=())
@@ -242,11 +242,6 @@ def _missing(name: str, path: str | Path | None) -> str:
     """Why a set is not here, empty if it is."""
     whole = name.partition("/")[0]
     recorded = RECORDED[whole]
-    if recorded.is_here(name, _path(name, path)):
+    if recorded.is_here(name, recorded.given(whole, path)):
         return ""
     return "; ".join(f"{key}: {text}" for key, text in recorded.told(whole, path)[-2:])
-
-
-def _path(name: str, path: str | Path | None) -> str | Path | None:
-    """The folder of the sets, for a set that does not come with a package."""
-    return path if RECORDED[name.partition("/")[0]].published else None
