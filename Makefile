@@ -35,11 +35,11 @@ bars: $(VENV)/.installed
 study: $(VENV)/.installed
 	$(BIN)/ekfslam study association
 
-# Runs the campaigns of docs/consistency.md and docs/fastslam.md, or what is left of them: about an
+# Runs the campaigns of docs/consistency.md, fastslam.md and localization.md, or what is left of them: about an
 # hour on two cores.
 campaigns: $(VENV)/.installed
 	for campaign in hard-loop loop-15 car-loop heading-sweep circle loop-15-rb \
-	    particles particles-or-not; do \
+	    particles particles-or-not known-map; do \
 	  $(BIN)/ekfslam campaign experiments/$$campaign.toml --out results/$$campaign --workers 2 || exit 1; \
 	done
 
