@@ -27,9 +27,11 @@ bench: $(VENV)/.installed
 reference: $(VENV)/.installed
 	$(BIN)/python tests/reference.py
 
-# Rewrites results/association-bars.csv: what association without identities reaches.
+# Rewrites results/association-bars.csv and results/far-starts.csv: what association without
+# identities reaches, and who comes back from a wrong start.
 bars: $(VENV)/.installed
 	$(BIN)/python tests/bars.py
+	$(BIN)/python tests/far_starts.py
 
 # Rewrites results/study-association.
 study: $(VENV)/.installed
