@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import psutil
 from numpy.typing import NDArray
 
-from ekfslam.errors import InputError
+from ekfslam.errors import InputError, UnsupportedError
 
 ROUNDING = 1e-9  # of a matrix that should be symmetric or positive semi-definite, relative
 
@@ -112,3 +113,34 @@ def is_covariance(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
     lopsided = np.abs(correlations - np.swapaxes(correlations, 1, 2)).max(axis=(1, 2), initial=0.0)
     smallest = np.linalg.eigvalsh(correlations).min(axis=1, initial=np.inf)
     return (variances >= -floor).all(axis=1) & (lopsided <= ROUNDING) & (smallest >= -ROUNDING)
+
+
+def check_fits(size: int, what: str, instead: str = "") -> None:
+    """Refuse what memory cannot hold, before it is asked for: the machine would swap, or kill.
+
+    Parameters
+    ----------
+    size : int
+        Bytes it needs beyond what is held already.
+    what : str
+        What the error calls it, in the singular.
+    instead : str
+        What to do.
+
+    Raises
+    ------
+    UnsupportedError
+        With the size, and what is free.
+    """
+    free = psutil.virtual_memory().available
+    if size > free:
+        hint = f": {instead}" if instead else ""
+        raise UnsupportedError(f"{what} needs {in_bytes(size)}, {in_bytes(free)} are free{hint}")
+
+
+def in_bytes(size: int) -> str:
+    """A size in words: three digits and a decimal unit."""
+    amount, units = float(size), ["B", "kB", "MB", "GB", "TB", "PB", "EB"]
+    while amount >= 999.5 and len(units) > 1:
+        amount, units = amount / 1000, units[1:]
+    return f"{np.format_float_positional(amount, 3, fractional=False, trim='-')} {units[0]}"

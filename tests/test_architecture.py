@@ -50,6 +50,7 @@ LIBRARIES = {
     "numba": ("ekfslam.compiled",),
     "typer": ("ekfslam.cli",),
     "rich": ("ekfslam.cli",),
+    "psutil": ("ekfslam.checks",),
     "distributed": ("ekfslam.experiments.cluster",),
     "pyarrow": ("ekfslam.experiments.rows", "ekfslam.experiments.store"),
 }
