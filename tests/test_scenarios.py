@@ -327,6 +327,7 @@ def test_every_world_can_be_asked_for(load, kind):
         "circle": "count = 5\nradius = 2\ncentre = [0, 0]",
         "cloister": "x = [0, 1]\ny = [0, 1]",
         "scatter": "count = 3\nx = [0, 9]\ny = [0, 9]\nmin_distance = 1\nseed = 1",
+        "streets": "count = 40\nseed = 1",
     }
     world = f'kind = "{kind}"\n{parameters[kind]}\n'
     before, after = SQUARE.split('kind = "points"\nlandmarks = [[0, 0], [4, 0], [4, 4], [0, 4]]\n')

@@ -7,6 +7,7 @@ name and parameters are the ``[path]`` table of a scenario.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import islice
 from math import atan2, cos, hypot, pi, remainder, sin
 from typing import NamedTuple
 
@@ -15,9 +16,11 @@ import numpy as np
 from ekfslam import geometry as geo
 from ekfslam.errors import InputError
 from ekfslam.geometry import TAU, Array
+from ekfslam.simulation.blocks import BLOCK, FACADE, UNITS, Blocks
 
 CHORDS_PER_LAP = 200_000  # arc length of a lap of park is then right to some 1e-9 m
-MOST_STEPS = 1_000_000  # of a car that steers for waypoints: more is a mistake in their unit
+MOST_STEPS = 1_000_000  # of a run whose length is worked out: more is a mistake in a unit
+TURNING = 6.0  # radius of the turns of a tour [m]: no nearer to a facade than the street is
 
 
 class Path(NamedTuple):
@@ -214,9 +217,92 @@ def steered(
     return Path(start, controls, "car", wheelbase)
 
 
+def tour(
+    count: int,
+    spacing: float,
+    steps: int | None = None,
+    block: float = BLOCK,
+    facade: float = FACADE,
+) -> Path:
+    """A drive along all streets of the city of the world ``streets``, in steps of equal length.
+
+    It starts at the lower left crossing and takes the nearest of the streets that have been driven
+    least often; see `Blocks.drive`. Turns are arcs.
+
+    Parameters
+    ----------
+    count : int
+        Landmarks of the world. In a scenario, this and the blocks are those of its ``[world]``.
+    spacing : float
+        Arc length of a step [m].
+    steps : int, optional
+        As many as it takes to drive every street once by default. A run that is longer drives them
+        again.
+    block, facade : float
+        As of the world [m].
+
+    Returns
+    -------
+    Path
+        Controls are the increments between successive poses, for the motion model ``odometry``.
+
+    Raises
+    ------
+    InputError
+        For a spacing that is not positive or longer than a block, steps below 1 or above a million,
+        and blocks that the world refuses.
+    """
+    city = Blocks.for_landmarks(count, block, facade)
+    if not 0 < spacing <= block:
+        raise InputError(f"spacing must be positive and at most a block, got {spacing}")
+    if steps is None:
+        headings = list(city.once())
+    elif 1 <= steps <= MOST_STEPS:
+        shortest = block - (2 - pi / 2) * TURNING  # way of a street with a turn at each end
+        enough = int(steps * spacing / shortest) + 1
+        headings = list(islice(city.drive(), enough + 1))  # one more for the turn into it
+    else:
+        raise InputError(f"steps must be from 1 to {MOST_STEPS}, got {steps}")
+    starts, curvatures, lengths = _lines_and_arcs(city, headings)
+    ends = np.cumsum(lengths)
+    if steps is None:
+        steps = int(ends[-1] / spacing)
+        if steps > MOST_STEPS:
+            raise InputError(f"a spacing of {spacing:g} m makes more than {MOST_STEPS} steps")
+    travelled = spacing * np.arange(steps + 1)
+    piece = np.minimum(np.searchsorted(ends, travelled), len(ends) - 1)
+    within = travelled - (ends - lengths)[piece]
+    along = np.column_stack([within, np.zeros_like(within), curvatures[piece] * within])
+    poses = geo.compose(starts[piece], geo.exp(along))
+    return Path(poses[0], geo.between(poses[:-1], poses[1:]), "odometry")
+
+
+def _lines_and_arcs(city: Blocks, headings: list[int]) -> tuple[Array, Array, Array]:
+    """A drive as a line and an arc for each street: start poses, curvatures [1/m], lengths [m]."""
+    heading = np.array(headings)
+    unit = UNITS[heading]
+    turn = (np.diff(heading, append=heading[-1]) + 1) % 4 - 1
+    crossing = city.side * np.cumsum(unit, axis=0)
+    after = TURNING * np.abs(turn)
+    before = np.concatenate([[0.0], after[:-1]])
+    line = city.side - before - after
+    theta = geo.wrap(0.5 * pi * heading)
+    starts = [
+        np.column_stack([crossing - away[:, None] * unit, theta]) for away in (line + after, after)
+    ]
+    curvatures = [np.zeros(len(heading)), turn / TURNING]
+    lengths = [line, 0.5 * pi * after]
+    return (
+        np.stack(starts, axis=1).reshape(-1, 3),
+        np.stack(curvatures, axis=1).ravel(),
+        np.stack(lengths, axis=1).ravel(),
+    )
+
+
 PATHS: Mapping[str, Callable[..., Path]] = {
     "controls": repeated,
     "figure-eight": figure_eight,
     "waypoints": steered,
     "unguided": unguided,
+    "tour": tour,
 }

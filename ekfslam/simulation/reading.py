@@ -20,6 +20,7 @@ from ekfslam.errors import EkfslamError, FileFormatError, InputError, UnknownNam
 from ekfslam.geometry import Array
 from ekfslam.models.motion import KINDS, MotionModel
 from ekfslam.robots import LandmarkMap, Prior
+from ekfslam.simulation.blocks import share
 from ekfslam.simulation.paths import PATHS
 from ekfslam.simulation.plans import RobotPlan, SensorPlan
 from ekfslam.simulation.scenario import Scenario
@@ -105,6 +106,7 @@ def load_scenario(
         raise FileFormatError(f"{where}: {reason}") from None
     change(document, changes or {}, where)
     fill_in(document, folder, where)
+    share(document, where)
     return _build(Path(file.name).stem, document, where)
 
 

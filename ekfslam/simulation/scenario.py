@@ -53,6 +53,9 @@ Points that are not ours to copy are named by file: ``file = "maps/some.mat"`` i
 ``landmarks`` of a world of kind ``points``, or of the ``waypoints`` of a path of that kind; see
 `ekfslam.simulation.world_files`.
 
+A city needs its count of landmarks alone: a path of kind ``tour`` has the blocks of the world of
+kind ``streets``, which grow with the count.
+
 Several robots have a table each instead of the tables path, motion and prior; they make the same
 number of steps at the same times::
 

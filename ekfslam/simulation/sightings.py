@@ -18,6 +18,7 @@ from ekfslam.simulation.plans import SensorPlan
 from ekfslam.simulation.scenario import Scenario
 
 PAIRS_AT_ONCE = 1_000_000  # (pose, landmark) pairs held in memory
+ROUNDING = 1e-6  # [m] that a point may seem nearer than it is, and as a share of its range
 
 
 class Rows(NamedTuple):
@@ -115,10 +116,22 @@ def see_landmarks(scenario: Scenario, truths: Array, seed: int, scale: float) ->
         described: Array | float = np.nan
         if scenario.descriptors is not None:
             random = stream(seed, SENSORS + number, robot, DESCRIPTORS)
-            noise = random.standard_normal((poses, len(landmarks)))[step, which]
+            noise = _noise(step, which, poses, len(landmarks), random)
             described = scenario.descriptors[which] + scale * scenario.descriptor_sigma * noise
         ids = landmarks.ids[which]
         yield Rows.of(step, robot, number, values, ids, descriptor=described)
+
+
+def _noise(
+    step: np.ndarray, which: np.ndarray, poses: int, points: int, random: np.random.Generator
+) -> Array:
+    """One standard normal draw for each pose and point, of which those asked for are kept (m,)."""
+    noise = np.empty(len(step))
+    for some in _chunks(poses, points):
+        draws = random.standard_normal((len(range(poses)[some]), points))
+        mine = slice(*np.searchsorted(step, (some.start, some.stop)))
+        noise[mine] = draws[step[mine] - some.start, which[mine]]
+    return noise
 
 
 def see_robots(scenario: Scenario, truths: Array, seed: int, scale: float) -> Iterator[Rows]:
@@ -145,13 +158,27 @@ def _see(
     parts = []
     for some in _chunks(len(poses), points.shape[1]):
         draws = random.standard_normal((*points[some].shape[:2], 2))
-        visible = sensor.sees(poses[some, None], points[some])
-        row, column = np.nonzero(visible & looking[some, None])
+        row, column = _visible(sensor, poses[some], points[some], looking[some])
         drawn = scale * draws[row, column, : sensor.view.size]
         values = _measure(sensor, poses[some][row], points[some][row, column], drawn)
         parts.append((some.start + row, column, values))
     step, column, values = (np.concatenate(part) for part in zip(*parts, strict=True))
     return step, column, values
+
+
+def _visible(
+    sensor: Sensor, poses: Array, points: Array, looking: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the points (m, n, 2) that are seen from poses.
+
+    Angles are worked out for the few points in a square about the sensor alone.
+    """
+    x, y, _ = geo.compose(poses, sensor.mount).T[..., None]
+    reach = sensor.max_range + ROUNDING * (1.0 + sensor.max_range)
+    near = (np.abs(points[..., 0] - x) <= reach) & (np.abs(points[..., 1] - y) <= reach)
+    row, column = np.nonzero(near & looking[:, None])
+    seen = sensor.sees(poses[row], points[row, column])
+    return row[seen], column[seen]
 
 
 def _chunks(poses: int, points: int) -> Iterator[slice]:
@@ -189,8 +216,8 @@ def introduce_slowly(seen: Rows, limit: int, landmarks: int, random: np.random.G
     for first, stop in pairwise(bounds):
         if len(mapped) == landmarks:
             break
-        rows = seen.landmark[first:stop]
-        fresh = sorted(set(rows.tolist()) - mapped)
+        rows = seen.landmark[first:stop].tolist()
+        fresh = sorted(set(rows) - mapped)
         mapped.update(random.permutation(fresh)[:limit].tolist())
-        keep[first:stop] = np.isin(rows, list(mapped))
+        keep[first:stop] = [landmark in mapped for landmark in rows]
     return seen.take(keep)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ekfslam.errors import InputError
 from ekfslam.geometry import TAU, Array
+from ekfslam.simulation.blocks import BLOCK, FACADE, FARTHEST, LEAST_GAP, NEAREST, Blocks
 
 
 def points(landmarks: Array) -> Array:
@@ -117,11 +118,43 @@ def scatter(count: int, x: Array, y: Array, min_distance: float, seed: int) -> A
     )
 
 
+def streets(count: int, seed: int, block: float = BLOCK, facade: float = FACADE) -> Array:
+    """Landmarks along both sides of the streets of a city, which grows with their number.
+
+    The city is a rectangle of square blocks, the smallest that has room. Landmarks are spread
+    evenly over all facades, each at random within its share of them and between 4.5 and 6 m from
+    the middle of the street; none is within 8 m of a crossing along the street, nor nearer than
+    2 m to another.
+
+    Parameters
+    ----------
+    count : int
+    seed : int
+        Of the map.
+    block : float
+        Side of a block, from street to street [m].
+    facade : float
+        Least room for a landmark along the facades [m]; whole blocks make it somewhat more.
+
+    Raises
+    ------
+    InputError
+        For a count below 1, a negative seed, blocks below 20 m or a facade below 2 m.
+    """
+    city = Blocks.for_landmarks(count, block, facade)
+    _at_least("seed", seed, 0)
+    draws = np.random.default_rng(seed).random((count, 2))
+    room = city.facades / count
+    along = room * np.arange(count) + 0.5 * LEAST_GAP + (room - LEAST_GAP) * draws[:, 0]
+    return city.beside(along, NEAREST + (FARTHEST - NEAREST) * draws[:, 1])
+
+
 WORLDS: Mapping[str, Callable[..., Array]] = {
     "points": points,
     "circle": circle,
     "cloister": cloister,
     "scatter": scatter,
+    "streets": streets,
 }
 
 
