@@ -1,5 +1,6 @@
 """Drawing datasets from scenarios: determinism, scaling, statistics, policies."""
 
+import tracemalloc
 from dataclasses import replace
 from importlib import import_module
 
@@ -136,11 +137,15 @@ def test_the_first_scenarios_draw_what_they_always_drew(name, count, sums):
 
 
 def test_memory_chunks_do_not_change_the_draw(monkeypatch):
-    whole = simulate(two_sensors(), seed=5)
+    scenario = two_sensors(descriptors=np.arange(8.0), descriptor_sigma=0.1)
+    whole = simulate(scenario, seed=5)
     module = import_module("ekfslam.simulation.sightings")
     monkeypatch.setattr(module, "PAIRS_AT_ONCE", 17)
-    chunked = simulate(two_sensors(), seed=5)
-    np.testing.assert_array_equal(whole.observations.values, chunked.observations.values)
+    chunked = simulate(scenario, seed=5)
+    for name in ("values", "descriptor"):
+        np.testing.assert_array_equal(
+            getattr(whole.observations, name), getattr(chunked.observations, name)
+        )
     np.testing.assert_array_equal(whole.true_landmark, chunked.true_landmark)
 
 
@@ -421,6 +426,36 @@ def _complex_view(x, y, heading, dx, dy, turn, lx, ly, least=0, most=np.inf, ope
     seen = (complex(lx, ly) - sensor) * np.exp(-1j * (heading + turn))
     inside = least <= abs(seen) <= most and abs(np.angle(seen)) <= opening / 2
     return seen if inside else None
+
+
+@pytest.mark.parametrize("far", [0.0, 1e6])
+def test_landmarks_at_the_edge_of_the_range_are_seen_as_the_sensor_says(far):
+    # Ahead, beside and behind, where a square about the sensor touches the circle that it sees.
+    edge = [[far + 5 * np.cos(a), far + 5 * np.sin(a)] for a in np.linspace(0, 2 * np.pi, 17)]
+    sensor = Sensor("xy", np.eye(2), max_range=5.0)
+    scenario = two_sensors(
+        landmarks=LandmarkMap(range(17), edge),
+        start=[far, far, 0.0],
+        controls=np.tile([0.0, 0.0, np.pi / 8], (64, 1)),
+        sensors=(sensor,),
+    )
+    data = simulate(scenario, seed=1)
+    seen = sensor.sees(data.truth[:, None], data.true_map.positions)
+    seen[0] &= scenario.observe_start
+    assert 0.1 < seen.mean() < 1
+    step, landmark = np.nonzero(seen)
+    np.testing.assert_array_equal(data.observations.step, step)
+    np.testing.assert_array_equal(data.true_landmark, landmark)
+
+
+def test_no_table_of_all_poses_and_landmarks_is_held():
+    changes = {"world.descriptors": [0.2, 0.5], "descriptor_sigma": 0.1}
+    scenario = load_scenario("city", changes)
+    tracemalloc.start()
+    data = simulate(scenario)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * data.poses * len(data.true_map)  # of one number for each pair
 
 
 def test_visibility_is_decided_on_the_truth_not_on_the_noisy_values():
