@@ -10,6 +10,7 @@ import typer
 
 from ekfslam.cli.campaigns import campaign, summary
 from ekfslam.cli.printing import (
+    print_large,
     print_list,
     print_partial_study,
     print_report,
@@ -137,6 +138,13 @@ def compare(
         typer.Option("--withhold-ids", help="Withhold from the estimators who was seen."),
     ] = False,
     figures: Annotated[bool, typer.Option(help="Whether to draw figures into --out.")] = True,
+    tables: Annotated[
+        str,
+        typer.Option(help="csv, parquet, or auto: Parquet for more than 200,000 rows."),
+    ] = "auto",
+    every: Annotated[
+        int, typer.Option(help="Of tables with rows for each step, write every so many.", min=1)
+    ] = 1,
 ) -> None:
     """Estimators side by side on the same datasets: tables, CSVs and figures.
 
@@ -147,12 +155,15 @@ def compare(
       ekfslam compare cloister victoria-park --seed 1 --out results/compare
 
       ekfslam compare orchard --estimators "ekf, ekf(association=joint, confirm=3)"
+
+      ekfslam compare park --tables parquet --every 10 --out results/park
     """
     from ekfslam.experiments.compare import DATASETS
     from ekfslam.experiments.compare import compare as run
-    from ekfslam.experiments.files import check_folder
+    from ekfslam.experiments.files import check_folder, check_form
     from ekfslam.registry import split
 
+    check_form(tables, every)
     if out is not None:
         check_folder(out)
     with progress() as watch:
@@ -170,8 +181,10 @@ def compare(
     notes = {name: dataset.notes for name, dataset in comparison.datasets.items()}
     print_summary(comparison.summary, notes)
     if out is not None:
-        files = comparison.save(out, figures=figures)
+        with progress() as watch:
+            files = comparison.save(out, figures=figures, form=tables, every=every, watch=watch)
         print(f"{len(files)} files in {out}: {', '.join(path.name for path in files)}")
+        print_large(files, asked=tables != "auto")
 
 
 @study.callback()

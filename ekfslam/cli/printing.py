@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,6 +21,13 @@ if TYPE_CHECKING:
     from ekfslam.validation import Report
 
 WIDE = 150  # columns that a table may take
+
+
+def print_large(files: Iterable[Path], asked: bool) -> None:
+    """Which tables are Parquet since they are large, unless that was asked for."""
+    large = [path.name for path in files if path.suffix == ".parquet"]
+    if large and not asked:
+        print(f"too large for CSV, so Parquet: {', '.join(large)} (--tables csv, or --every N)")
 
 
 def print_list(rows: list[tuple[str, str]]) -> None:

@@ -7,7 +7,6 @@ from ekfslam.evaluation.association import (
     count_landmarks,
 )
 from ekfslam.evaluation.consistency import (
-    judged,
     pose_nees,
     pose_nees_invariant,
     squared_mahalanobis,
@@ -25,6 +24,7 @@ from ekfslam.evaluation.trajectory import (
     path_length,
     relative_errors,
 )
+from ekfslam.evaluation.verdict import judged
 
 __all__ = [
     "AssociationScores",

@@ -15,7 +15,6 @@ another life.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +22,7 @@ import numpy as np
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import Decision, Estimate
 from ekfslam.evaluation.landmarks import identities_shared, known_identities, map_ids, origins
+from ekfslam.evaluation.runs import kept_with_estimate
 from ekfslam.observations import NO_LANDMARK
 
 _FOUNDING = (Decision.NEW, Decision.DELAYED)
@@ -205,7 +205,7 @@ class _Lives(NamedTuple):
     merging: np.ndarray  # (M,) whether it is the first of a second true landmark that a life took
 
 
-@lru_cache(maxsize=1)  # scores and counts are of the same lives
+@kept_with_estimate  # scores and counts are of the same lives
 def _lives(dataset: Dataset, estimate: Estimate) -> _Lives:
     met, origin = estimate.innovations, origins(dataset)
     assert met is not None

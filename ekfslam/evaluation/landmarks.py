@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ekfslam import geometry as geo
 from ekfslam.checks import checked_number
@@ -72,14 +77,41 @@ def match_landmarks(
 
 
 def _assign(points: Array, truth: Array, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of points and of truth, paired."""
-    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-    apart = points[finite, None] - truth
-    with np.errstate(over="ignore"):
-        cost = np.minimum(np.sum(apart**2, axis=-1), radius**2)
-    rows, columns = linear_sum_assignment(cost)
-    near = cost[rows, columns] < radius**2
-    return finite[rows[near]], columns[near]
+    """Rows of points and of truth, paired.
+
+    Points that no chain of pairs within the radius connects do not compete: each such cluster has
+    an assignment of its own, so that a large map costs no more than its clusters.
+    """
+    pairs = [(np.empty(0, np.int64), np.empty(0, np.int64))]
+    for rows, columns in _clusters(points, truth, radius):
+        cost = np.minimum(np.sum((points[rows, None] - truth[columns]) ** 2, axis=-1), radius**2)
+        i, j = linear_sum_assignment(cost)
+        near = cost[i, j] < radius**2
+        pairs.append((rows[i[near]], columns[j[near]]))
+    found, others = (np.concatenate(column) for column in zip(*pairs, strict=True))
+    return found, others
+
+
+def _clusters(
+    points: Array, truth: Array, radius: float
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Rows of points and of truth that chains of pairs within the radius connect."""
+    if not len(truth):
+        return
+    reach = radius * (1 + 1e-9)  # rounding leaves no pair out
+    beside = (points >= truth.min(axis=0) - reach) & (points <= truth.max(axis=0) + reach)
+    near = np.flatnonzero(beside.all(axis=1))  # what is not finite is nowhere
+    of_truth = cKDTree(truth)
+    pairs = cKDTree(points[near]).sparse_distance_matrix(of_truth, reach, output_type="ndarray")
+    size = len(points) + len(truth)
+    ends = near[pairs["i"]], len(points) + pairs["j"]
+    graph = coo_array((np.ones(len(pairs)), ends), shape=(size, size))
+    count, which = connected_components(graph, directed=False)
+    order = np.argsort(which, kind="stable")  # in each cluster points come before truth
+    for members in np.split(order, np.searchsorted(which[order], np.arange(1, count))):
+        first = np.searchsorted(members, len(points))
+        if 0 < first < len(members):
+            yield members[:first], members[first:] - len(points)
 
 
 def origins(dataset: Dataset) -> np.ndarray | None:

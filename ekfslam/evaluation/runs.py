@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any
+from functools import cached_property, wraps
+from typing import Any, TypeVar
+from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 
@@ -18,6 +20,27 @@ from ekfslam.geometry import Array
 quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 """For a run that has gone wrong: it holds NaN, inf or numbers whose squares overflow, so that its
 errors are empty or infinite, which is the answer and no reason to warn."""
+
+
+_Made = TypeVar("_Made")
+
+
+def kept_with_estimate(make: Callable[..., _Made]) -> Callable[..., _Made]:
+    """Make it of (dataset, estimate, ...) once, and forget it together with the estimate.
+
+    A cache of the usual kind would keep the estimate alive, with a covariance of any size.
+    """
+    kept: WeakKeyDictionary[Estimate, tuple[Any, ...]] = WeakKeyDictionary()
+
+    @wraps(make)
+    def recalled(dataset: Dataset, estimate: Estimate, *others: Any) -> _Made:
+        found = kept.get(estimate)
+        if found is None or found[0]() is not dataset or found[1] != others:
+            found = kept[estimate] = ref(dataset), others, make(dataset, estimate, *others)
+        made: _Made = found[2]
+        return made
+
+    return recalled
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +126,11 @@ class Run:
         return geo.compose(self.motion, self.series.poses)
 
 
-@lru_cache(maxsize=1)
+@kept_with_estimate
 def runs(dataset: Dataset, estimate: Estimate, alignment: str) -> list[Run]:
     """Every series of every robot: the views of one robot that the tables are made of.
 
-    Those of the last estimate are kept, so that its tables share what they have in common.
+    They are kept with the estimate, so that its tables share what they have in common.
 
     Parameters
     ----------

@@ -97,7 +97,9 @@ def concat(name: str, tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
     """
     columns = list(_columns_of(name))
     parts = [table for table in tables if len(table)]
-    return pd.concat(parts, ignore_index=True)[columns] if parts else filled(name, {}, 0)
+    if len(parts) < 2:  # nothing to stack, so nothing to copy
+        return parts[0].reset_index(drop=True)[columns] if parts else filled(name, {}, 0)
+    return pd.concat(parts, ignore_index=True)[columns]
 
 
 def read_csv(name: str, path: str | Path) -> pd.DataFrame:
@@ -126,6 +128,24 @@ def read_csv(name: str, path: str | Path) -> pd.DataFrame:
         raise FileFormatError(f"{path}: cannot be read as {name} ({error})") from None
 
 
+def read_table(name: str, path: str | Path) -> pd.DataFrame:
+    """Read a table from a CSV or, if its name ends in ``.parquet``, a Parquet file, without loss.
+
+    Parameters and errors are those of `read_csv`.
+    """
+    if Path(path).suffix != ".parquet":
+        return read_csv(name, path)
+    schema = _columns_of(name)
+    try:
+        table = pd.read_parquet(path)
+        if list(table.columns) != list(schema):
+            raise FileFormatError(f"{path}: does not have the columns of {name}")
+        return table.astype(dict(schema))
+    except (OSError, ValueError) as error:  # pyarrow's own errors are of these
+        text = " ".join(str(error).split())
+        raise FileFormatError(f"{path}: cannot be read as {name} ({text})") from None
+
+
 def _columns_of(name: str) -> Mapping[str, str]:
     if name not in SCHEMAS:
         raise UnknownNameError("table", name, SCHEMAS)
@@ -140,4 +160,5 @@ def filled(name: str, columns: Mapping[str, Any], rows: int) -> pd.DataFrame:
         empty = isinstance(value, str) and not value
         return pd.Series(None if empty else value, index=range(rows), dtype=dtype)
 
-    return pd.DataFrame({c: series(c, dtype) for c, dtype in _columns_of(name).items()})
+    made = {c: series(c, dtype) for c, dtype in _columns_of(name).items()}
+    return pd.DataFrame(made, copy=False)  # they are copies already

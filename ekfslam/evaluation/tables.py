@@ -18,7 +18,7 @@ from ekfslam.evaluation.association import association_scores
 from ekfslam.evaluation.consistency import squared_mahalanobis, validate
 from ekfslam.evaluation.landmarks import MATCH_RADIUS, match_landmarks, true_positions
 from ekfslam.evaluation.runs import aligned_map, landmark_nees, quiet, row_keys, runs
-from ekfslam.evaluation.schema import SCHEMAS, concat, filled, read_csv
+from ekfslam.evaluation.schema import SCHEMAS, concat, filled, read_csv, read_table
 from ekfslam.evaluation.summary import summary_rows, summary_scalars
 from ekfslam.evaluation.trajectory import frame_motion
 from ekfslam.geometry import Array
@@ -31,6 +31,7 @@ __all__ = [
     "innovations",
     "landmarks",
     "read_csv",
+    "read_table",
     "summary_rows",
     "summary_scalars",
     "trajectories",
@@ -174,14 +175,12 @@ def innovations(dataset: Dataset, estimate: Estimate) -> pd.DataFrame:
     if met is None:
         return concat("innovations", [])
     observed = dataset.observations
-    decisions = np.array([decision.name.lower() for decision in Decision])
     size = np.array([s.view.size for s in dataset.sensors], dtype=np.int64)[observed.sensor]
     innovation, S = _without_padding(met.innovation, met.S, size)
-    nis = np.where(
-        size == WIDTH,
-        squared_mahalanobis(innovation, S),
-        squared_mahalanobis(innovation[:, :1], S[:, :1, :1]),
-    )
+    nis = np.full(len(met), np.nan)
+    for width in np.unique(size):
+        rows = size == width
+        nis[rows] = squared_mahalanobis(innovation[rows, :width], S[rows, :width, :width])
     columns: dict[str, Any] = {
         "robot": _named([robot.name for robot in dataset.robots], observed.robot),
         "step": observed.step,
@@ -189,7 +188,7 @@ def innovations(dataset: Dataset, estimate: Estimate) -> pd.DataFrame:
         "sensor": _named([sensor.name for sensor in dataset.sensors], observed.sensor),
         "observed_robot": _named([robot.name for robot in dataset.robots], dataset.observed_robot),
         "landmark": _identities(met.landmark),
-        "decision": decisions[met.decision],
+        "decision": _named([decision.name.lower() for decision in Decision], met.decision),
         "nis": nis,
         "dof": np.where(np.isnan(nis), np.nan, size),
     }
@@ -223,8 +222,10 @@ def association(dataset: Dataset, estimate: Estimate) -> pd.DataFrame:
     scores, met = association_scores(dataset, estimate), estimate.innovations
     if scores is None or met is None or not scores.scored.any():
         return concat("association", [])
-    where = np.column_stack([dataset.observations.robot, dataset.observations.step])
-    place, row = np.unique(where[scores.scored], axis=0, return_inverse=True)
+    # Places are numbered robot by robot, and counted without being sorted.
+    where = dataset.observations.robot * dataset.poses + dataset.observations.step
+    places = len(dataset.robots) * dataset.poses
+    place = np.flatnonzero(np.bincount(where[scores.scored], minlength=places))
     counted = {
         "observations": scores.scored,
         "mapped": scores.mapped,
@@ -241,11 +242,11 @@ def association(dataset: Dataset, estimate: Estimate) -> pd.DataFrame:
         "tentative": met.decision == Decision.TENTATIVE,
     }
     columns: dict[str, Any] = {
-        name: np.bincount(row[flags[scores.scored]], minlength=len(place))
+        name: np.bincount(where[flags & scores.scored], minlength=places)[place]
         for name, flags in counted.items()
     }
-    columns["robot"] = _named([robot.name for robot in dataset.robots], place[:, 0])
-    columns["step"] = place[:, 1]
+    robot, columns["step"] = np.divmod(place, dataset.poses)
+    columns["robot"] = _named([robot.name for robot in dataset.robots], robot)
     return filled("association", row_keys(dataset, estimate) | columns, len(place))
 
 
@@ -266,9 +267,9 @@ def _identities(ids: np.ndarray) -> Any:
     return pd.arrays.IntegerArray(ids.astype(np.int64), mask=ids < 0)
 
 
-def _named(names: list[str], index: np.ndarray) -> np.ndarray:
+def _named(names: list[str], index: np.ndarray) -> Any:
     """Names by index, with those of negative ones missing."""
-    return np.array([*names, None], dtype=object)[index]
+    return pd.array([*names, None], dtype=pd.StringDtype())[index]
 
 
 def _without_padding(innovation: Array, S: Array, size: np.ndarray) -> tuple[Array, Array]:

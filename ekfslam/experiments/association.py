@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from ekfslam.errors import InputError
-from ekfslam.experiments.compare import Watch
+from ekfslam.experiments.attempts import Watch
 from ekfslam.experiments.files import versions, write_together
 from ekfslam.experiments.study import NOISE, paired, summarised, sweep
 from ekfslam.simulation import Scenario, load_scenario

@@ -19,7 +19,7 @@ from ekfslam.dataset import Dataset
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import tables
 from ekfslam.evaluation.run_metrics import run_metrics
-from ekfslam.experiments.compare import attempt
+from ekfslam.experiments.attempts import attempt
 from ekfslam.experiments.files import versions
 from ekfslam.experiments.rows import SCHEMAS, stacked, table_of
 from ekfslam.registry import Estimator, estimator_name, resolve

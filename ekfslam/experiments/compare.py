@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
-from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,13 +14,15 @@ import pandas as pd
 from ekfslam.checks import checked_number
 from ekfslam.dataset import Dataset
 from ekfslam.datasets import RECORDED, is_recorded
-from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
+from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
-from ekfslam.evaluation import judged, tables
+from ekfslam.evaluation import tables
 from ekfslam.evaluation.landmarks import MATCH_RADIUS
-from ekfslam.experiments.files import versions, write_together
+from ekfslam.experiments.attempts import Watch, attempt, named
+from ekfslam.experiments.files import versions
+from ekfslam.experiments.saving import save_comparison
 from ekfslam.experiments.sources import open_dataset
-from ekfslam.registry import Estimator, estimator_name, resolve
+from ekfslam.registry import Estimator
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,11 +30,6 @@ if TYPE_CHECKING:
 DATASETS = ("park", "victoria-park")
 ESTIMATORS = ("ekf", "gtsam-batch", "gtsam-isam2", "dead-reckoning")
 REFERENCE = "gtsam-batch"
-FIGURES = ("map", "times")
-FIGURES_OF_A_ROBOT = ("errors", "consistency")
-
-Watch = Callable[[str, str, int, int], None]
-"""Called with (dataset, estimator, steps done, steps in all) on long work."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,19 +105,34 @@ class Comparison:
         return plot_times(self._of(self.trajectories, self._name(dataset)))
 
     def save(
-        self, folder: str | Path, figures: bool = True, kept: Sequence[str] = tuple(tables.SCHEMAS)
+        self,
+        folder: str | Path,
+        figures: bool = True,
+        kept: Sequence[str] = tuple(tables.SCHEMAS),
+        form: str = "auto",
+        every: int = 1,
+        watch: Watch | None = None,
     ) -> list[Path]:
-        """Write tables (CSV), configuration (JSON) and figures (PNG and PDF).
+        """Write tables (CSV or Parquet), configuration (JSON) and figures (PNG and PDF).
 
         The folder is made if needed. Files appear when all of them have been written; if anything
-        goes wrong, none does. Of several robots each has figures of its errors and consistency.
+        goes wrong, none does. Of several robots each has figures of its errors and consistency. A
+        table that was there in the other form goes.
 
         Parameters
         ----------
         folder : path
         figures : bool
+            Drawn from all steps.
         kept : sequence of str
             Names of the tables; all by default.
+        form : {"auto", "csv", "parquet"}
+            Of the tables: "auto" is CSV for all but those of more than 200,000 rows.
+        every : int
+            Of the tables that have rows for each step, write those of every so many steps, from 0
+            on, and of the last one; config.json then says so.
+        watch : callable, optional
+            Told of progress, file by file.
 
         Returns
         -------
@@ -133,28 +142,11 @@ class Comparison:
         Raises
         ------
         InputError
-            If the folder cannot be written to.
+            If the folder cannot be written to, or `every` is not a whole number from 1 on.
+        UnknownNameError
+            For another form.
         """
-        return write_together(folder, lambda place: self._write(place, figures, kept))
-
-    def _write(self, folder: Path, figures: bool, kept: Sequence[str]) -> None:
-        for name in kept:
-            getattr(self, name).to_csv(folder / f"{name}.csv", index=False)
-        (folder / "config.json").write_text(json.dumps(self.config, indent=2) + "\n")
-        for name, dataset in self.datasets.items() if figures else ():
-            self._draw(folder, name, [robot.name for robot in dataset.robots])
-
-    def _draw(self, folder: Path, dataset: str, robots: list[str]) -> None:
-        from ekfslam.plots import save
-
-        for figure in FIGURES:
-            save(getattr(self, f"plot_{figure}")(dataset), folder, _stem(dataset, figure))
-        drawn_of = set(self._of(self.trajectories, dataset)["robot"])  # none, if all are skipped
-        for robot in filter(drawn_of.__contains__, robots):
-            whose = [robot] if len(robots) > 1 else []
-            for figure in FIGURES_OF_A_ROBOT:
-                drawn = getattr(self, f"plot_{figure}")(dataset, robot)
-                save(drawn, folder, _stem(dataset, *whose, figure))
+        return save_comparison(self, folder, figures, kept, form, every, watch)
 
     def _name(self, dataset: str | None) -> str:
         if dataset is None:
@@ -241,13 +233,15 @@ def compare(
     for dataset in opened.values():
         # Increments and columns belong to the data: no estimator's clock counts them.
         _ = dataset.moves, dataset.sightings, dataset.offsets
-        found = {
-            name: attempt(name, subject, dataset, _tabulate, alignment, watch)
-            for name, subject in subjects.items()
-        }
-        reference = found.get(REFERENCE)
-        for name, estimate in found.items():
-            made = _tabulate(dataset, estimate, alignment, rpe_distance, reference, match_radius)
+        found = _run(
+            subjects,
+            dataset,
+            watch,
+            alignment=alignment,
+            rpe_distance=rpe_distance,
+            match_radius=match_radius,
+        )
+        for name, (estimate, made) in found.items():
             estimates[dataset.name, name] = estimate
             for table, rows in made.items():
                 parts[table].append(rows)
@@ -281,65 +275,37 @@ def _listed(value: Any) -> list[Any]:
     return items
 
 
-def named(estimators: Iterable[Any]) -> dict[str, Estimator]:
-    """Estimators under distinct names.
-
-    Raises
-    ------
-    UnknownNameError, InputError
-        As `ekfslam.registry.resolve`, and for two of the same name.
-    """
-    subjects: dict[str, Estimator] = {}
-    for estimator in estimators:
-        name = estimator_name(estimator)
-        if name in subjects:
-            raise InputError(f"two estimators are called {name}; give one another `name`")
-        subjects[name] = resolve(estimator)
-    return subjects
+def _run(
+    subjects: Mapping[str, Estimator], dataset: Dataset, watch: Watch | None, **options: Any
+) -> dict[str, tuple[Estimate, dict[str, pd.DataFrame]]]:
+    """Estimates with their tables; first that of the reference, which all are held against."""
+    found: dict[str, tuple[Estimate, dict[str, pd.DataFrame]]] = {}
+    for name in sorted(subjects, key=lambda name: name != REFERENCE):
+        reference = found[REFERENCE][0] if REFERENCE in found else None
+        found[name] = _estimated(name, subjects[name], dataset, watch, reference, **options)
+    return {name: found[name] for name in subjects}
 
 
-def attempt(
+def _estimated(
     name: str,
     subject: Estimator,
     dataset: Dataset,
-    tabulate: Callable[[Dataset, Estimate], Any],
-    alignment: str = "none",
-    watch: Watch | None = None,
-) -> Estimate:
-    """The estimate with its status, or a record that says why there is none.
+    watch: Watch | None,
+    reference: Estimate | None,
+    alignment: str,
+    **options: Any,
+) -> tuple[Estimate, dict[str, pd.DataFrame]]:
+    """An estimate with its tables, which are made once."""
+    made: dict[str, pd.DataFrame] = {}
 
-    Parameters
-    ----------
-    name : str
-        What the estimate is called.
-    subject : Estimator
-    dataset : Dataset
-    tabulate : callable
-        Given dataset and estimate; what it raises makes the estimate a failed one.
-    alignment : {"none", "se2"}
-        Applied before an estimate is judged.
-    watch : callable, optional
-    """
-    progress = None
-    if watch is not None:
-        watch(dataset.name, name, 0, dataset.poses)
+    def tabulate(dataset: Dataset, estimate: Estimate) -> None:
+        best = estimate if name == REFERENCE else reference
+        made.update(_tabulate(dataset, estimate, alignment, reference=best, **options))
 
-        def progress(done: int, total: int) -> None:
-            watch(dataset.name, name, done, total)
-
-    try:
-        estimate = _call(subject, dataset, progress)
-        if not isinstance(estimate, Estimate):
-            raise TypeError(f"estimate(dataset) returned {type(estimate).__name__}, not Estimate")
-        titled = replace(estimate, estimator=name, dataset=dataset.name)
-        estimate = judged(dataset, titled, alignment)
-        tabulate(dataset, estimate)  # what cannot be tabulated is no estimate
-        return estimate
-    except UnsupportedError as reason:
-        return Estimate(name, dataset.name, status=SKIPPED, message=str(reason))
-    except (Exception, SystemExit) as error:  # which would take a campaign with it
-        text = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        return Estimate(name, dataset.name, status=FAILED, message=text)
+    estimate = attempt(name, subject, dataset, tabulate, alignment, watch)
+    if estimate.status in (FAILED, SKIPPED):
+        tabulate(dataset, estimate)
+    return estimate, made
 
 
 def _tabulate(
@@ -360,13 +326,6 @@ def _tabulate(
         "innovations": tables.innovations(dataset, estimate),
         "association": tables.association(dataset, estimate),
     }
-
-
-def _call(subject: Estimator, dataset: Dataset, progress: Any) -> Any:
-    """Estimate, with progress if the estimator tells of it."""
-    if progress is not None and "progress" in signature(subject.estimate).parameters:
-        return subject.estimate(dataset, progress=progress)  # type: ignore[call-arg]
-    return subject.estimate(dataset)
 
 
 def _described(dataset: Dataset) -> dict[str, Any]:
@@ -390,8 +349,3 @@ def _options(estimates: Mapping[tuple[str, str], Estimate], name: str) -> dict[s
 
 def _plain(value: Any) -> bool:
     return value is None or isinstance(value, str | int | float | bool)
-
-
-def _stem(*words: str) -> str:
-    """Name of a file; names may come from a file that somebody else wrote."""
-    return "-".join(re.sub(r"[^\w.-]+", "-", word).strip(".-") or "dataset" for word in words)

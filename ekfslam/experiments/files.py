@@ -1,4 +1,4 @@
-"""Files of an experiment: all of them appear, or none does."""
+"""Files of an experiment: all of them appear, or none does; tables as CSV or as Parquet."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from ekfslam.errors import InputError
+import pandas as pd
+
+from ekfslam.errors import InputError, UnknownNameError
 
 SCRATCH = ".unfinished-"  # how folders are called whose files are on their way
 PACKAGES = ("ekfslam", "gtsam", "numpy", "scipy", "pandas", "numba", "matplotlib")
@@ -76,6 +78,44 @@ def write_together(folder: str | Path, write: Callable[[Path], None]) -> list[Pa
             with suppress(OSError):
                 place.rmdir()
     return [folder / path.name for path in written]
+
+
+FORMS = ("auto", "csv", "parquet")
+CSV_ROWS = 200_000
+"""Rows up to which a table is CSV unless asked for otherwise: some 50 to 100 MB of it."""
+
+
+def check_form(form: str, every: int) -> None:
+    """Refuse what says nothing of how tables are to be written.
+
+    Raises
+    ------
+    UnknownNameError
+        For a form that is none of `FORMS`.
+    InputError
+        If `every` is not a whole number from 1 on.
+    """
+    if form not in FORMS:
+        raise UnknownNameError("form of tables", form, FORMS)
+    if isinstance(every, bool) or not isinstance(every, int) or every < 1:
+        raise InputError(f"every must be a whole number of steps from 1 on, got {every!r}")
+
+
+def write_table(table: pd.DataFrame, folder: Path, name: str, form: str = "auto") -> None:
+    """Write a table as ``name.csv`` or ``name.parquet``, both without loss.
+
+    Parameters
+    ----------
+    table : DataFrame
+    folder : Path
+    name : str
+    form : {"auto", "csv", "parquet"}
+        "auto" is CSV up to `CSV_ROWS` rows and Parquet beyond.
+    """
+    if form == "csv" or (form == "auto" and len(table) <= CSV_ROWS):
+        table.to_csv(folder / f"{name}.csv", index=False)
+    else:
+        table.to_parquet(folder / f"{name}.parquet", index=False, compression="zstd")
 
 
 def versions() -> dict[str, str]:

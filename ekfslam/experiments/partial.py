@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from ekfslam.evaluation import judged, tables
-from ekfslam.experiments.compare import Watch, attempt, named
+from ekfslam.experiments.attempts import Watch, attempt, named
 from ekfslam.experiments.files import versions, write_together
 from ekfslam.experiments.sources import open_dataset
 from ekfslam.experiments.study import summarised, sweep

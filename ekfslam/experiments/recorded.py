@@ -17,7 +17,8 @@ from ekfslam.datasets import RECORDED
 from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.estimates import Estimate
 from ekfslam.evaluation import tables
-from ekfslam.experiments.compare import Comparison, Watch, compare
+from ekfslam.experiments.attempts import Watch
+from ekfslam.experiments.compare import Comparison, compare
 from ekfslam.experiments.files import check_folder, versions, write_together
 from ekfslam.experiments.study import mapped
 from ekfslam.registry import resolve

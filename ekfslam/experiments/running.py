@@ -11,10 +11,10 @@ import pandas as pd
 
 from ekfslam.errors import InputError
 from ekfslam.estimates import FAILED
+from ekfslam.experiments.attempts import Watch
 from ekfslam.experiments.campaign import Campaign
 from ekfslam.experiments.cells import versions_in_words
 from ekfslam.experiments.cluster import run_units
-from ekfslam.experiments.compare import Watch
 from ekfslam.experiments.files import check_folder, versions, write_together
 from ekfslam.experiments.reading import load_campaign
 from ekfslam.experiments.results import CampaignResults, read_campaign

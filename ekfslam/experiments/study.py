@@ -21,7 +21,7 @@ from ekfslam.checks import checked_number
 from ekfslam.errors import InputError
 from ekfslam.estimates import DIVERGED, FAILED, SKIPPED
 from ekfslam.evaluation import tables
-from ekfslam.experiments.compare import Watch, attempt, named
+from ekfslam.experiments.attempts import Watch, attempt, named
 from ekfslam.registry import Estimator
 from ekfslam.simulation import Scenario, load_scenario, simulate
 
