@@ -19,9 +19,10 @@ test: $(VENV)/.installed
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
 
-bench: $(VENV)/.installed
+# All parts, or some: make bench PART="map-size start-up". Peers that cannot be had have empty rows.
+bench: $(VENV)/.peers
 	@echo "== benchmarks: ratios measured side by side in one run =="
-	$(BIN)/python benchmarks/run.py
+	$(BIN)/python benchmarks/run.py $(PART)
 
 # Rewrites the stored tables that the accuracy tests compare with.
 reference: $(VENV)/.installed
@@ -51,6 +52,11 @@ $(VENV)/.installed: pyproject.toml
 	@echo "== setting up $(VENV) =="
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@touch $@
+
+$(VENV)/.peers: $(VENV)/.installed
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]' || \
+	  echo "== the peers of the benchmark cannot be installed: their rows say so =="
 	@touch $@
 
 clean:

@@ -1,0 +1,87 @@
+"""Association of a step of five observations against its correction, in a map of 1000."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from typing import Any
+
+import numpy as np
+from ratios import at_most
+
+import ekfslam
+from ekfslam import geometry as geo
+from ekfslam.dataset import Dataset, LandmarkMap, Observations, Prior, Robot, Sightings
+from ekfslam.estimates import Decision
+from ekfslam.filters.arrays import Log
+from ekfslam.filters.ekf_slam import update
+from ekfslam.filters.engine import Engine
+from ekfslam.filters.initiation import extend
+from ekfslam.filters.options import Options
+from ekfslam.models.sensors import RANGE_BEARING
+
+PER_STEP = 5
+
+
+def association() -> list[list[Any]]:
+    """Association of a step of five observations against its correction, in a map of 1000."""
+    rows = []
+    data = field(1000, 60)
+    for method in ("nearest", "joint"):
+        deciding, correcting = [], []
+        engine = Engine([data.prior], Options(method), method, {RANGE_BEARING})
+        sightings = Sightings(*(column.copy() for column in data.sightings))
+        log = Log.of(1, data.poses, len(sightings.values), 0)
+        for k in range(data.poses):
+            first, last = (int(row) for row in data.offsets[k : k + 2])
+            engine.make_room(last - first)
+            moves = (part[:, k].copy() for part in data.moves)
+            engine.predict(k, *moves, sightings.rows(0, 0))
+            look = engine.state, sightings, first, last
+            begin = time.perf_counter()
+            engine.recognise(sightings, first, last, log)
+            middle = time.perf_counter()
+            slam, register = engine.slam.arrays, engine.register
+            update(slam, register, *look[1:], engine.settings, log, engine.other)
+            end = time.perf_counter()
+            extend(slam, register, *look[1:], engine.settings, log)
+            deciding.append(middle - begin)
+            correcting.append(end - middle)
+        assert len(engine.register.offsets) >= 1000
+        assert (log.decision[1000:] == Decision.ACCEPTED).mean() > 0.95
+        ours, other = (1e6 * statistics.median(times[10:]) for times in (deciding, correcting))
+        what = f"1000 landmarks, association ({method}), correction"
+        rows.append(at_most(what, ours, other, "us/step", 1.0))
+    return rows
+
+
+def field(landmarks: int, steps: int) -> Dataset:
+    """A robot among landmarks on a grid, all seen at step 1; then the five nearest a step."""
+    rng = np.random.default_rng(2)
+    side = int(np.ceil(np.sqrt(landmarks)))
+    points = 4.0 * np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2)
+    points = points[:landmarks] + rng.uniform(-1, 1, (landmarks, 2))
+    noise = np.diag([0.1**2, 0.005**2])
+    sensors = (
+        ekfslam.Sensor("range-bearing", noise, name="survey"),
+        ekfslam.Sensor("range-bearing", noise, max_range=15.0, name="laser"),
+    )
+    motion = ekfslam.MotionModel("odometry", np.diag([0.01**2, 0.01**2, 0.002**2]))
+    controls = np.tile([0.2, 0.0, 0.02], (steps, 1))
+    truth = geo.integrate(np.array([60.0, 60.0, 0.0]), controls)
+    seen = [np.arange(landmarks)]
+    for pose in truth[2:]:
+        seen.append(np.argsort(np.hypot(*(points - pose[:2]).T))[:PER_STEP])
+    step = np.concatenate([np.full(len(some), k) for k, some in enumerate(seen, start=1)])
+    which = np.concatenate(seen)
+    values = sensors[0].observe(truth[step], points[which])[0]
+    values = values + rng.normal(size=values.shape) * [0.1, 0.005]
+    return Dataset(
+        "field",
+        (Robot(motion, controls, Prior(truth[0]), truth),),
+        np.arange(steps + 1.0),
+        sensors,
+        Observations(step, values, sensor=(step > 1).astype(int)),
+        true_map=LandmarkMap(np.arange(landmarks), points),
+        true_landmark=which,
+    )

@@ -1,0 +1,216 @@
+"""Who is timed on a map of some size: our filters, the textbook's, smoothers and peers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from importlib.util import find_spec
+from typing import Any, NamedTuple
+
+import numpy as np
+from peers import FilterPy, RoboticsToolbox
+from textbook_filters import DenseTextbook, JointTextbook, Textbook
+from worlds import BLIND, mapped_after, shortened
+
+from ekfslam import geometry as geo
+from ekfslam.dataset import Dataset, Step
+from ekfslam.estimates import Estimate
+from ekfslam.filters.ekf import Ekf
+from ekfslam.geometry import Array
+from ekfslam.registry import parse, registered, resolve
+
+
+class Problem(NamedTuple):
+    """Data, and what the filters of others begin with.
+
+    Attributes
+    ----------
+    data : Dataset
+    mapped : int
+        Poses after which all landmarks are in the map.
+    mean : (3 + 2 N,) ndarray
+        Pose and landmarks after that.
+    covariance : (3 + 2 N, 3 + 2 N) ndarray
+    steps : list of Step
+    """
+
+    data: Dataset
+    mapped: int
+    mean: Array
+    covariance: Array
+    steps: list[Step]
+
+    @classmethod
+    def of(cls, data: Dataset) -> Problem:
+        """Map the landmarks of a dataset."""
+        mapped = Ekf().estimate(shortened(data, 0))
+        ids = mapped.landmarks.ids
+        assert (ids == np.arange(len(ids))).all(), "landmarks are numbered in order of the state"
+        mean = np.concatenate([mapped.online.poses[-1], mapped.landmarks.positions.ravel()])
+        return cls(data, mapped_after(data), mean, mapped.joint_covariance, list(data.steps()))
+
+
+class Timing(NamedTuple):
+    """What a run took, and where it was after the last observation.
+
+    Attributes
+    ----------
+    observation : float
+        Time of the steps after mapping for each of their observations, motion included [us].
+    prediction : float
+        Time of a step in which nothing is seen [us].
+    pose : (3,) ndarray
+    covariance : (3, 3) ndarray or None
+    """
+
+    observation: float
+    prediction: float
+    pose: Array
+    covariance: Array | None
+
+
+def by_dataset(name: str, problem: Problem, steps: int, whole: bool = False) -> Timing:
+    """Time an estimator of the registry by its own clock of steps.
+
+    Parameters
+    ----------
+    name : str
+        With options.
+    problem : Problem
+    steps : int
+        After mapping.
+    whole : bool
+        Whether to count what happens outside of the steps, too, beyond what a run that ends with
+        mapping takes there: a map that is brought up to date only at the end.
+    """
+    estimator = resolve(name)
+    estimate = estimator.estimate(shortened(problem.data, steps, BLIND))
+    last = problem.mapped + steps
+    spent = float(estimate.step_seconds[problem.mapped : last].sum())
+    if whole:
+        spent += outside(estimate) - outside(estimator.estimate(shortened(problem.data, 0)))
+    online = estimate.online
+    return Timing(
+        1e6 * spent / seen_in(problem, steps),
+        1e6 * float(estimate.step_seconds[last:].mean()),
+        online.poses[last - 1],
+        None if online.covariances is None else online.covariances[last - 1],
+    )
+
+
+def outside(estimate: Estimate) -> float:
+    """Time of a run that is in none of its steps [s]."""
+    return float(estimate.time_total - estimate.step_seconds.sum())
+
+
+def by_step(make: Callable[[Array, Array], Any], problem: Problem, steps: int) -> Timing:
+    """Time a filter that is given the map, and then one step after another."""
+    slam = make(problem.mean, problem.covariance)
+    last = problem.mapped + steps
+    begin = time.perf_counter()
+    for step in problem.steps[problem.mapped : last]:
+        slam.step(step.increment, step.covariance, step.observations)
+    observed = time.perf_counter() - begin
+    pose, covariance = slam.mean[:3].copy(), slam.covariance[:3, :3].copy()
+    blind = problem.steps[last : last + min(BLIND, steps)]
+    begin = time.perf_counter()
+    for step in blind:
+        slam.step(step.increment, step.covariance, step.observations.rows(0, 0))
+    predicted = time.perf_counter() - begin
+    seen = seen_in(problem, steps)
+    return Timing(1e6 * observed / seen, 1e6 * predicted / len(blind), pose, covariance)
+
+
+def seen_in(problem: Problem, steps: int) -> int:
+    """Observations in the first steps after mapping."""
+    first, last = problem.data.offsets[[problem.mapped, problem.mapped + steps]]
+    return int(last - first)
+
+
+class Contender(NamedTuple):
+    """One line of the figure.
+
+    Attributes
+    ----------
+    name : str
+    run : callable
+        ``run(problem, steps) -> Timing``.
+    steps : dict
+        How many steps it is given after mapping, by number of landmarks: fewer where they are slow.
+    update : {"joint", "sequential", ""}
+        Our update that computes the same to round-off, if any does.
+    """
+
+    name: str
+    run: Callable[[Problem, int], Timing]
+    steps: dict[int, int]
+    update: str = ""
+
+    @property
+    def here(self) -> bool:
+        """Whether it can be run."""
+        return self.name not in PEERS or find_spec(self.name) is not None
+
+
+PEERS = ("roboticstoolbox", "filterpy")  # packages that need not be installed
+SIZES = (20, 100, 300, 1000, 2000, 5000)
+MANY = dict(zip(SIZES, (200, 200, 150, 150, 150, 100), strict=True))
+"""Steps of the fast: many map updates at any size, so that one that is pending counts little."""
+LARGE = 1000  # landmarks of a map whose update may come after the step
+LOCAL = dict.fromkeys((1000, 2000, 5000), 400)
+FAMILY = ("iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
+
+
+def on_the_ring(size: int) -> list[Contender]:
+    """Where any landmark may be seen at any step; the slow are given fewer steps, or none."""
+    family = {20: 200, 100: 200, 300: 60, 1000: 20}
+    sequential = {20: 200, 100: 100, 300: 40, 1000: 10, 2000: 3, 5000: 1}
+    joint = {20: 200, 100: 200, 300: 80, 1000: 30, 2000: 8, 5000: 2}
+    dense = {20: 200, 100: 40, 300: 6, 1000: 1}
+    toolbox = {20: 60, 100: 60, 300: 10, 1000: 2, 2000: 1}
+    filterpy = {20: 60, 100: 20, 300: 4, 1000: 1}
+    everyone = [
+        ours("ekf", MANY, size),
+        *(ours(name, family, size) for name in FAMILY),
+        smoother(MANY),
+        Contender("textbook, sequential", partial(by_step, Textbook), sequential, "sequential"),
+        Contender("textbook, joint", partial(by_step, JointTextbook), joint, "joint"),
+        Contender("textbook, dense", partial(by_step, DenseTextbook), dense, "joint"),
+        Contender("roboticstoolbox", partial(by_step, RoboticsToolbox), toolbox, "sequential"),
+        Contender("filterpy", partial(by_step, FilterPy), filterpy, "joint"),
+    ]
+    return [each for each in everyone if size in each.steps]
+
+
+def in_the_city(size: int) -> list[Contender]:
+    """Where what is seen lies close together, and the robot moves on."""
+    compressed = ours("ekf-compressed(area=100)", LOCAL, size)._replace(update="joint")
+    known = "ekf-compressed" in registered()
+    return [ours("ekf", LOCAL, size), *([compressed] if known else []), smoother(LOCAL)]
+
+
+def ours(name: str, steps: dict[int, int], size: int) -> Contender:
+    """A filter of the registry; of a large map, all that its run takes is counted."""
+    run = partial(by_dataset, name, whole=size >= LARGE)
+    return Contender(parse(name).name, run, steps)
+
+
+def smoother(steps: dict[int, int]) -> Contender:
+    """GTSAM's iSAM2 without covariances."""
+    return Contender("gtsam-isam2", partial(by_dataset, "gtsam-isam2(marginals=False)"), steps)
+
+
+def check_same(contender: Contender, timing: Timing, reference: Timing) -> None:
+    """Hold a pose and its covariance to those of our filter.
+
+    Raises
+    ------
+    AssertionError
+        If they are apart by more than 1e-8, of the covariance relative to its largest entry.
+    """
+    apart = np.abs(geo.additive_error(timing.pose, reference.pose)).max()
+    assert apart < 1e-8, f"{contender.name} computes another pose: {apart:.1e} apart"
+    scale = np.abs(reference.covariance).max()
+    apart = np.abs(timing.covariance - reference.covariance).max() / scale
+    assert apart < 1e-8, f"{contender.name} computes another covariance: {apart:.1e} apart"
