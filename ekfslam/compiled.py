@@ -16,16 +16,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+import llvmlite.binding
 import numba
 import numpy as np
 from numba.core import types
-from numba.extending import overload
+from numba.extending import get_cython_function_address, overload
 
 F = TypeVar("F", bound=Callable)
 PACKAGE = Path(__file__).parent
 # What compiled functions are made of, with the constants that are frozen into them.
 SOURCES = (
     "compiled.py",
+    "blas.py",
     "estimates.py",
     "association/*.py",
     "filters/*.py",
@@ -95,6 +97,28 @@ def prepare(function: Callable, *arguments: Any) -> None:
     """
     if hasattr(function, "compile"):  # not so where compilation is switched off
         function.compile(tuple(numba.typeof(argument) for argument in arguments))
+
+
+def library_function(module: str, name: str, arguments: int) -> Callable:
+    """A function of a compiled library for compiled code to call, every argument by reference.
+
+    It is known to the linker by its name, not by its address, so that callers can be cached.
+
+    Parameters
+    ----------
+    module, name : str
+        A Cython module that exports it, such as ``scipy.linalg.cython_blas``.
+    arguments : int
+        How many it takes: each an address, such as ``array.ctypes.data``.
+
+    Returns
+    -------
+    Callable
+        Not for uncompiled code.
+    """
+    symbol = f"ekfslam_{name}"
+    llvmlite.binding.add_symbol(symbol, get_cython_function_address(module, name))
+    return types.ExternalFunction(symbol, types.void(*[types.uintp] * arguments))
 
 
 def now() -> float:

@@ -46,16 +46,23 @@ class MapArrays(NamedTuple):
     ----------
     mean : (capacity,) ndarray
     covariance : (capacity, capacity) ndarray
-        Its upper triangle up to `size` is the covariance, in the error coordinates of the filter.
+        Its upper triangle up to `size` is the covariance, in the error coordinates of the filter,
+        less what waits.
     size : (1,) ndarray of int
         Dimension of the state.
     points : Points
+    late : (rows, capacity) ndarray
+        U of `ekfslam.filters.delayed`; without rows, nothing ever waits.
+    held : (1,) ndarray of int
+        How many of its rows do.
     """
 
     mean: Array
     covariance: Array
     size: np.ndarray
     points: Points
+    late: Array
+    held: np.ndarray
 
 
 class Register(NamedTuple):

@@ -34,6 +34,7 @@ class Ekf(Options):
     """The EKF-SLAM estimator; its options are those of `ekfslam.filters.options.Options`."""
 
     name = "ekf"
+    engine = Engine  # no option, as `variant`
 
     def estimate(self, dataset: Dataset, progress: Progress | None = None) -> Estimate:
         """Run the filter over a dataset.
@@ -117,7 +118,7 @@ class Ekf(Options):
         priors = [robot.prior for robot in dataset.robots]
         noted = len(journal.event) > 0
         known = 1 if association == "known" else 0
-        engine = Engine(priors, self, association, kinds, known, noted)
+        engine = self.engine(priors, self, association, kinds, known, noted)
         moves = tuple(array[:, :1].copy() for array in dataset.moves)
         nothing = Sightings(*(column[:0].copy() for column in dataset.sightings))
         log = Log.of(len(priors), 1, 0, int(Decision.REJECTED))
@@ -140,7 +141,7 @@ class Ekf(Options):
         sightings = sightings._replace(landmark=np.maximum(codes, -1).astype(np.int64))
         priors = [robot.prior for robot in dataset.robots]
         landmarks = len(ids) if association == "known" else 0
-        engine = Engine(priors, self, association, kinds, landmarks, noted, truth)
+        engine = self.engine(priors, self, association, kinds, landmarks, noted, truth)
         log = Log.of(len(priors), steps, len(codes), int(Decision.REJECTED))
         k, why = 0, DONE
         chunk = steps if progress is None else max(1, steps // 100)
@@ -151,7 +152,7 @@ class Ekf(Options):
                 progress(k, steps)
         if association != "known":
             ids = np.arange(int(engine.register.used[0]))
-        mapped, joint = engine.landmarks(ids)
+        mapped, joint = engine.landmarks(ids, surrender=True)
         elapsed = time.perf_counter() - started
         one = len(priors) == 1
         notes = []

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ekfslam.blas import subtract_square
 from ekfslam.compiled import compiled, inlined, now
 from ekfslam.estimates import Decision
+from ekfslam.filters.delayed import bring_up_to_date, delays, exact_rows, keep, room
 from ekfslam.filters.initiation import extend
 from ekfslam.filters.kernels import downdate, move, project, solve, times_transposed
 from ekfslam.filters.measure import BANKED, POINT, POSE, foresee, moved, placed, rows_of
@@ -151,9 +153,17 @@ def update(slam, register, sightings, first, last, settings, log, other):  # typ
     total, dof, start = 0.0, 0, first if accepted > 0 else last
     n, d, variant = slam.size[0], rows_of(sightings.kind[first]), settings.variant
     together = accepted if settings.joint else 1
-    rows, step = np.empty((d * together, n)), np.empty(n)
-    S, z = np.empty((d * together, d * together)), np.empty(d * together)
+    most, step = d * together, np.empty(n)
+    S, z = np.empty((most, most)), np.empty(most)
+    waits, large = delays(slam, most, settings), n >= settings.delay_from
+    rows = np.empty((0 if waits else most, n))
+    if large and not waits:
+        bring_up_to_date(slam)
     while start < last:
+        if waits:
+            if slam.held[0] + most > room(slam):
+                bring_up_to_date(slam)
+            rows = slam.late[slam.held[0] :]
         stop, m, nis = last if settings.joint else start + 1, 0, 0.0
         for iteration in range(settings.iterations):
             again = iteration > 0
@@ -189,7 +199,12 @@ def update(slam, register, sightings, first, last, settings, log, other):  # typ
             break
         if m > 0:
             retract(variant, slam.mean, step, n, settings.poses)
-            downdate(slam.covariance, rows, m, n)
+            if waits:
+                keep(slam, m, POSE * settings.poses)
+            elif large:
+                subtract_square(slam.covariance, rows, m, n)
+            else:
+                downdate(slam.covariance, rows, m, n)
         start = stop
     if other is not None and variant == ROBOCENTRIC:
         compose(slam.mean, slam.covariance, n)
@@ -229,6 +244,7 @@ def stack(  # type: ignore[no-untyped-def]
     sensor = placed(mount, mean[pose : pose + POSE])
     H, point, nu = np.empty((together, 2, 7)), np.empty(4), np.empty(2)
     places, sizes = np.empty(together, np.int64), np.empty(together, np.int64)
+    which = np.empty(together, np.int64)
     m = 0
     for i in range(first, last):
         if decision[i] != ACCEPTED:
@@ -261,25 +277,30 @@ def stack(  # type: ignore[no-untyped-def]
             for a in range(d):
                 nu[a] = moved(nu, h, there, point, size, a)
         project(P, n, pose, at, size, h, d, rows[d * m : d * m + d])
-        places[m], sizes[m] = at, size
-        for j in range(m + 1):
-            before, place, width = H[j], places[j], sizes[j]
-            for a in range(d):
-                row = rows[d * m + a]
-                for b in range(d):
-                    entry = times_transposed(row, pose, place, width, before, b)
-                    S[d * m + a, d * j + b] = entry
+        places[m], sizes[m], which[m] = at, size, i
         for a in range(d):
             z[d * m + a] = nu[a]
+        if index >= 0 and not again:
+            used[index] += 1
+            rejections[index] = 0
+        m += 1
+    if slam.held[0] > 0:
+        exact_rows(slam.late, slam.held[0], n, H, places, sizes, m, d, rows)
+    for k in range(m):
+        i = which[k]
+        for j in range(k + 1):
+            before, place, width = H[j], places[j], sizes[j]
+            for a in range(d):
+                row = rows[d * k + a]
+                for b in range(d):
+                    entry = times_transposed(row, pose, place, width, before, b)
+                    S[d * k + a, d * j + b] = entry
+        for a in range(d):
             for b in range(d):
-                S[d * m + a, d * m + b] += R[i, a, b]
+                S[d * k + a, d * k + b] += R[i, a, b]
         if not again:
             for a in range(d):
-                innovation[i, a] = nu[a]
+                innovation[i, a] = z[d * k + a]
                 for b in range(d):
-                    spread[i, a, b] = S[d * m + a, d * m + b]
-            if index >= 0:
-                used[index] += 1
-                rejections[index] = 0
-        m += 1
+                    spread[i, a, b] = S[d * k + a, d * k + b]
     return d * m

@@ -9,6 +9,7 @@ import numpy as np
 
 from ekfslam.association.assignment import global_nearest_neighbour
 from ekfslam.association.nearest import NEW as NEW_LANDMARK
+from ekfslam.blas import one_thread
 from ekfslam.compiled import now, prepare
 from ekfslam.dataset import Prior, Sightings
 from ekfslam.errors import UnsupportedError
@@ -34,7 +35,7 @@ from ekfslam.filters.measure import BANKED, INVERSE_DEPTH, POINT, POSE
 from ekfslam.filters.options import BANK, DELAYED, GLOBAL, JOINT, OF_POINTS, Options
 from ekfslam.filters.partial import prepare_partial, see_to_partial
 from ekfslam.filters.recognition import decide_jointly, recognise, robots_seen, settle
-from ekfslam.filters.upkeep import upkeep
+from ekfslam.filters.upkeep import delete, upkeep
 from ekfslam.filters.variants import (
     ALONE,
     AT_ESTIMATES,
@@ -98,8 +99,10 @@ class Engine:
         # None is a type of its own: what is compiled for it knows nothing of the family.
         self.other = None if settings.variant == EKF else True
         room = landmarks or LANDMARKS
+        # Not where a motion changes all of the map.
+        late = 0 if settings.variant in OF_THEIR_OWN else options.late
         self.slam = GaussianMap(
-            starting(settings.variant, priors), room * settings.largest // POINT
+            starting(settings.variant, priors), room * settings.largest // POINT, late
         )
         self._start(priors, truth)
         self.register = Register.of(room)
@@ -214,11 +217,22 @@ class Engine:
 
         That is `DONE`, or `INDEFINITE` where an innovation covariance was not positive definite.
         """
-        (deltas, Qs), why = moves, DONE
+        with one_thread():
+            return self._run(start, stop, moves, offsets, sightings, log, journal)
+
+    def _run(
+        self,
+        start: int,
+        stop: int,
+        moves: Any,
+        offsets: np.ndarray,
+        sightings: Sightings,
+        log: Log,
+        journal: Journal,
+    ) -> tuple[int, int]:
+        why = DONE
         while start < stop:
-            slam, register = self.slam.arrays, self.register
-            arguments = sightings, slam, register, self.settings, log
-            start, why = run(start, stop, deltas, Qs, offsets, *arguments, self.other)
+            start, why = self._plainly(start, stop, moves, offsets, sightings, log)
             if why == GROW:
                 self.make_room(int(offsets[start + 1] - offsets[start]))
             elif why == LOOK:
@@ -237,6 +251,20 @@ class Engine:
                 break
         return start, INDEFINITE if why == INDEFINITE else DONE
 
+    def _plainly(
+        self,
+        start: int,
+        stop: int,
+        moves: Any,
+        offsets: np.ndarray,
+        sightings: Sightings,
+        log: Log,
+    ) -> tuple[int, int]:
+        """What the compiled loop does by itself; returns as it does."""
+        slam, register = self.slam.arrays, self.register
+        arguments = offsets, sightings, slam, register, self.settings, log, self.other
+        return run(start, stop, *moves, *arguments)
+
     def predict(self, step: int, deltas: Array, Qs: Array, unseen: Sightings) -> None:
         """Move the robots, (R, 3) and (R, 3, 3); what they will see is not known (no rows)."""
         self._clock[0] = step
@@ -251,7 +279,8 @@ class Engine:
     def observe(self, sightings: Sightings, log: Log) -> bool:
         """All observations of one step; whether innovation covariances were positive definite."""
         log.nis[0] = 0.0
-        return self._observe(sightings, 0, len(sightings.values), 0, log, Journal.of(0))
+        with one_thread():
+            return self._observe(sightings, 0, len(sightings.values), 0, log, Journal.of(0))
 
     def _observe(
         self, sightings: Sightings, first: int, last: int, k: int, log: Log, journal: Journal
@@ -263,8 +292,9 @@ class Engine:
             for at in [first] if settings.scan else range(first, end):
                 until = end if settings.scan else at + 1
                 used = int(self.register.used[0])
+                self._approach(sightings, at, until)
                 self.recognise(sightings, at, until, log)
-                if not self._use(sightings, at, until, k, log, journal):
+                if np.isnan(self._use(sightings, at, until, k, log, journal)):
                     # What failed leaves nothing behind.
                     self.register.used[0] = used
                     log.decision[at:until], log.landmark[at:until] = Decision.REJECTED, -1
@@ -279,8 +309,9 @@ class Engine:
 
     def _use(
         self, sightings: Sightings, first: int, last: int, k: int, log: Log, journal: Journal
-    ) -> bool:
-        """Correct and extend; whether innovation covariances were positive definite."""
+    ) -> float:
+        """Correct and extend; the NIS, NaN if their covariance was not positive definite."""
+        total = 0.0
         settings, slam, register = self.settings, self.slam.arrays, self.register
         noting = len(journal.event) > 0
         # Noted before they are used: one after another, where each is linearised anew.
@@ -290,13 +321,17 @@ class Engine:
                 note_corrections(self.state, sightings, i, j, log, journal)
             nis, dof = update(slam, register, sightings, i, j, settings, log, self.other)
             if np.isnan(nis):
-                return False
+                return np.nan
+            total += nis
             log.nis[k] += nis
             log.dof[k] += dof
         if noting:
             note_points(self.state, sightings, first, last, settings, log, journal)
         extend(slam, register, sightings, first, last, settings, log)
-        return True
+        return float(total)
+
+    def _approach(self, sightings: Sightings, first: int, last: int) -> None:
+        """Have at hand what a look may show: the whole map always is."""
 
     def recognise(self, sightings: Sightings, first: int, last: int, log: Log) -> None:
         """Who is seen in a look."""
@@ -326,27 +361,41 @@ class Engine:
 
     # The map ------------------------------------------------------------------------------------
 
-    def landmarks(self, ids: np.ndarray) -> tuple[LandmarkEstimates, Array]:
+    def _map(self) -> tuple[GaussianMap, np.ndarray]:
+        """The whole map, up to date, and where landmarks stand in it by register index."""
+        return self.slam, self.register.offsets
+
+    def landmarks(
+        self, ids: np.ndarray, surrender: bool = False
+    ) -> tuple[LandmarkEstimates, Array]:
         """The map, and the joint covariance of poses and map.
 
         Parameters
         ----------
         ids : (n,) ndarray of int
             Identity of each register index.
+        surrender : bool
+            Whether the filter gives up the memory of its covariance for that: it is then of no
+            more use.
         """
         register, count, variant = self.register, len(ids), self.settings.variant
-        mapped = (register.offsets[:count] >= 0) & (register.sightings[:count] > 0)
+        slam, offsets = self._map()
+        offsets = offsets[:count]
+        mapped = (offsets >= 0) & (register.sightings[:count] > 0)
         points = np.flatnonzero(mapped & (register.sizes[:count] == POINT))
         directions = np.flatnonzero(mapped & (register.sizes[:count] == INVERSE_DEPTH))
-        where = register.offsets[points][:, None] + np.arange(POINT)
-        beyond = register.offsets[directions][:, None] + np.arange(INVERSE_DEPTH)
+        where = offsets[points][:, None] + np.arange(POINT)
+        beyond = offsets[directions][:, None] + np.arange(INVERSE_DEPTH)
         poses = POSE * self.settings.robots
         shorter = POSE * (self.settings.poses - self.settings.robots)
         where, beyond = where - shorter, beyond - shorter
         order = np.concatenate([np.arange(poses), where.reshape(-1), beyond.reshape(-1)])
-        first = self.slam.arrays.points.first
-        mean, whole = exchanged(variant, self.slam.mean, self.slam.covariance, first)
-        joint = whole[np.ix_(order, order)]
+        first = slam.arrays.points.first
+        if surrender and variant not in OF_THEIR_OWN:
+            mean, joint = slam.mean, slam.surrendered(order)
+        else:
+            mean, whole = exchanged(variant, slam.mean, slam.covariance, first)
+            joint = whole[np.ix_(order, order)]
         end = poses + where.size
         blocks = joint[poses:end, poses:end].reshape(len(points), POINT, len(points), POINT)
         return LandmarkEstimates(
@@ -357,6 +406,15 @@ class Engine:
             ids[directions] if len(directions) else None,
             mean[beyond] if len(directions) else None,
         ), joint
+
+    def knows(self, index: int) -> bool:
+        """Whether a landmark stands in the map, by its register index."""
+        return bool(self.register.offsets[index] >= 0)
+
+    def delete(self, index: int) -> None:
+        """Take a landmark out of the map, by its register index."""
+        with one_thread():
+            delete(self.state, index)
 
     @property
     def poses(self) -> tuple[Array, Array]:

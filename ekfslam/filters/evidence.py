@@ -9,6 +9,7 @@ import numpy as np
 
 from ekfslam.association.descriptors import descriptor_distance
 from ekfslam.compiled import compiled
+from ekfslam.filters.delayed import entry
 from ekfslam.filters.measure import POINT, locate, moved, placed, rows_of
 from ekfslam.filters.options import (
     EUCLIDEAN,
@@ -49,18 +50,13 @@ class Evidence(NamedTuple):
 
 
 @compiled
-def entry(P, i, j):  # type: ignore[no-untyped-def]
-    """One entry of the covariance."""
-    return P[i, j] if i <= j else P[j, i]
-
-
-@compiled
-def cross(P, pose, at, size, H, other, other_size, G, d, out):  # type: ignore[no-untyped-def]
+def cross(P, late, held, pose, at, size, H, other, other_size, G, d, out):  # type: ignore[no-untyped-def]
     """``H P G'`` of two observations from one pose, (d, d): only the coordinates that matter.
 
     Parameters
     ----------
-    P : (capacity, capacity) ndarray
+    P, late, held
+        The covariance, see `ekfslam.filters.delayed`.
     pose, at, other : int
         First coordinates of the pose and of the two targets.
     size, other_size : int
@@ -76,7 +72,7 @@ def cross(P, pose, at, size, H, other, other_size, G, d, out):  # type: ignore[n
             total = 0.0
             for i in range(3 + size):
                 row = pose + i if i < 3 else at + i - 3
-                total += H[a, i] * entry(P, row, column)
+                total += H[a, i] * entry(P, late, held, row, column)
             for b in range(d):
                 out[a, b] += total * G[b, j]
 
@@ -103,6 +99,7 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
     """Evidence of a look: candidates, and distances of every observation with each."""
     register, mean, P = state.register, state.slam.mean, state.slam.covariance
     points, variant = state.slam.points.at, settings.variant
+    late, held = state.slam.late, state.slam.held[0]
     robot, mount, kind = sightings.robot[first], sightings.mount[first], sightings.kind[first]
     pose, d, limits = 3 * robot, rows_of(kind), sightings.limits[first]
     sensor = placed(mount, mean[pose : pose + 3])
@@ -137,7 +134,7 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
             ):
                 continue
             if k == 0 or size > POINT:  # of a point it is the same for all of the look
-                cross(P, pose, at, size, H, at, size, H, d, E)
+                cross(P, late, held, pose, at, size, H, at, size, H, d, E)
             for a in range(d):
                 nu[a] = moved(nu, H, there, point, size, a)
             distances[k, j], logdets[k, j] = against(nu, E, R, d)
@@ -176,8 +173,9 @@ def back_projected(state, sightings, rows, candidates, settings, points):  # typ
     Ciatto, 3.6: the uncertainty of the robot and of the measurement is left out.
     """
     register, mean, P = state.register, state.slam.mean, state.slam.covariance
+    late, held = state.slam.late, state.slam.held[0]
     where, G, noise = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
-    apart = np.empty(2)
+    apart, own = np.empty(2), np.empty((2, 2))
     for k in range(rows.size):
         i = rows[k]
         pose = 3 * sightings.robot[i]
@@ -196,9 +194,10 @@ def back_projected(state, sightings, rows, candidates, settings, points):  # typ
             apart[0], apart[1] = where[0] - mean[at], where[1] - mean[at + 1]
             if settings.method == MAHALANOBIS_FIRST:
                 noise[:] = 0.0
-                own = P[at : at + 2, at : at + 2]
+                for a in range(2):
+                    for b in range(2):
+                        own[a, b] = entry(P, late, held, at + a, at + b)
                 if settings.variant == INVARIANT:
-                    own = np.empty((2, 2))
                     additive(mean, P, at, POINT, own)
                 squared, _ = against(apart, own, noise, 2)
                 points[k, j] = math.sqrt(squared)

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ekfslam.blas import one_thread
 from ekfslam.dataset import Prior
 from ekfslam.errors import EkfslamError, InputError
 from ekfslam.filters import kernels
 from ekfslam.filters.arrays import MapArrays, Points
+from ekfslam.filters.delayed import bring_up_to_date
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.geometry import Array
 
@@ -26,9 +28,11 @@ class GaussianMap:
         Of the pose of each robot; independent of each other.
     landmarks : int
         Room to begin with, in points.
+    late : int
+        Rows of corrections that may wait, see `ekfslam.filters.delayed`.
     """
 
-    def __init__(self, priors: Prior | Sequence[Prior], landmarks: int = 32) -> None:
+    def __init__(self, priors: Prior | Sequence[Prior], landmarks: int = 32, late: int = 0) -> None:
         priors = [priors] if isinstance(priors, Prior) else list(priors)
         self.robots = len(priors)
         capacity = POSE * self.robots + POINT * max(landmarks, 1)
@@ -37,6 +41,8 @@ class GaussianMap:
             np.zeros((capacity, capacity)),
             np.array([POSE * self.robots], dtype=np.int64),
             Points.of(capacity),
+            np.zeros((late, capacity)),
+            np.array([0], dtype=np.int64),
         )
         for robot, prior in enumerate(priors):
             at = slice(POSE * robot, POSE * robot + POSE)
@@ -56,12 +62,36 @@ class GaussianMap:
     @property
     def covariance(self) -> Array:
         """Covariance (size, size), additive; a full symmetric copy."""
+        self.settle()
         return self.block(0, self.size)
+
+    def settle(self) -> None:
+        """Bring the covariance up to date with corrections that wait."""
+        with one_thread():
+            bring_up_to_date(self.arrays)
 
     def block(self, offset: int, size: int) -> Array:
         """Marginal covariance of some coordinates, (size, size); a copy at the block's cost."""
-        upper = np.triu(self.arrays.covariance[offset : offset + size, offset : offset + size])
+        some = slice(offset, offset + size)
+        waiting = self.arrays.late[: self.arrays.held[0], some]
+        upper = np.triu(self.arrays.covariance[some, some] - waiting.T @ waiting)
         return upper + np.triu(upper, 1).T
+
+    def surrendered(self, order: np.ndarray) -> Array:
+        """Covariance of some coordinates in a given order, (m, m), in the memory of this map.
+
+        No copy is made: what stood there is gone, and the map is of no more use.
+
+        Parameters
+        ----------
+        order : (m,) ndarray of int
+            Coordinates, each at most once.
+        """
+        self.settle()
+        P, n = self.arrays.covariance, self.size
+        rest = np.setdiff1d(np.arange(n), order)
+        kernels.rearrange(P, n, np.concatenate([order, rest]))
+        return P[: len(order), : len(order)]
 
     def reserve(self, size: int) -> None:
         """Make room for a state of the given dimension, at least doubling the storage."""
@@ -71,13 +101,15 @@ class GaussianMap:
         capacity = max(size, 2 * capacity)
         n = self.size
         mean, covariance = np.zeros(capacity), np.zeros((capacity, capacity))
+        late = np.zeros((len(self.arrays.late), capacity))
+        late[:, :n] = self.arrays.late[:, :n]
         mean[:n] = self.arrays.mean[:n]
         covariance[:n, :n] = self.arrays.covariance[:n, :n]
         points, room = self.arrays.points, np.zeros(capacity - len(self.arrays.mean))
         points = points._replace(
             at=np.concatenate([points.at, room]), first=np.concatenate([points.first, room])
         )
-        self.arrays = MapArrays(mean, covariance, self.arrays.size, points)
+        self.arrays = MapArrays(mean, covariance, self.arrays.size, points, late, self.arrays.held)
 
     def move(self, increment: Array, covariance: Array, robot: int = 0) -> None:
         """Robot motion.
@@ -119,6 +151,7 @@ class GaussianMap:
         EkfslamError
             If the innovation covariance is not positive definite; the map is untouched.
         """
+        self.settle()
         mean, P, *_ = self.arrays
         n, pose = self.size, POSE * robot
         m, d, size = H.shape[0], H.shape[1], H.shape[2] - POSE
@@ -178,8 +211,9 @@ class GaussianMap:
         noise = wrt_value @ R @ wrt_value.T
         if wrt_prior is not None and S is not None:
             noise = noise + wrt_prior @ S @ wrt_prior.T
+        self.settle()
         self.reserve(n + size)
-        mean, P, total, _ = self.arrays
+        mean, P, total, *_ = self.arrays
         poses = np.array([POSE * robot])
         G = np.ascontiguousarray(wrt_pose, dtype=float)[None]
         kernels.append(mean, P, n, poses, np.asarray(landmark, dtype=float), size, G, noise)
@@ -198,7 +232,8 @@ class GaussianMap:
         jacobian : (m, n) ndarray
             Their derivative with respect to the old.
         """
-        mean, P, total, _ = self.arrays
+        self.settle()
+        mean, P, total, *_ = self.arrays
         new, old = jacobian.shape
         self._check(offset, old)
         kernels.replace(mean, P, self.size, offset, old, landmark, new, jacobian)
@@ -215,7 +250,8 @@ class GaussianMap:
             Its coordinates.
         """
         self._check(offset, size)
-        mean, P, total, _ = self.arrays
+        self.settle()
+        mean, P, total, *_ = self.arrays
         kernels.remove(mean, P, self.size, offset, size)
         total[0] -= size
 

@@ -63,6 +63,7 @@ def enter(slam, register, index, robot, target, size, G, noise):  # type: ignore
     """Append a landmark seen from the present pose of a robot."""
     n, poses = slam.size[0], np.array([POSE * robot])
     append(slam.mean, slam.covariance, n, poses, target, size, G, noise)
+    slam.late[: slam.held[0], n : n + size] = 0.0  # its rows come from the poses', which are exact
     slam.size[0] = n + size
     register.offsets[index], register.sizes[index] = n, size
     register.sightings[index] = 1

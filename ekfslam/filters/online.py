@@ -12,14 +12,14 @@ from ekfslam.dataset import Prior, Sightings
 from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.estimates import Decision, Innovations, LandmarkEstimates
 from ekfslam.filters.arrays import Log
+from ekfslam.filters.compressed import EkfCompressed
 from ekfslam.filters.ekf import Ekf
-from ekfslam.filters.engine import Engine, check_views
+from ekfslam.filters.engine import check_views
 from ekfslam.filters.family import EkfFej, EkfRi, EkfRobocentric, Iekf
-from ekfslam.filters.upkeep import delete
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import VIEWS, Sensor
 
-ONLINE = {each.name: each for each in (Ekf, Iekf, EkfFej, EkfRi, EkfRobocentric)}
+ONLINE = {each.name: each for each in (Ekf, Iekf, EkfFej, EkfRi, EkfRobocentric, EkfCompressed)}
 
 
 class EkfSlam:
@@ -65,7 +65,8 @@ class EkfSlam:
             raise InputError(f"EkfSlam: {error}") from None
         kinds = {view.code for view in VIEWS.values() if view.size == 2 or estimator == "ekf"}
         self._unseen = Sightings.of(Sensor("xy", np.eye(2)), np.zeros((0, 2)))
-        self._engine = Engine(priors, self._options, self._options.association or "known", kinds)
+        known = self._options.association or "known"
+        self._engine = self._options.engine(priors, self._options, known, kinds)
         self._ids: dict[int, int] = {}
         self._step = -1
 
@@ -153,9 +154,9 @@ class EkfSlam:
         """
         ids = self._names()
         index = np.flatnonzero(ids == landmark)
-        if not len(index) or self._engine.register.offsets[index[0]] < 0:
+        if not len(index) or not self._engine.knows(int(index[0])):
             raise InputError(f"there is no landmark {landmark} in the map")
-        delete(self._engine.state, int(index[0]))
+        self._engine.delete(int(index[0]))
 
     @property
     def pose(self) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from ekfslam.association.gates import Gates, chi2_gate, quantiles
 from ekfslam.checks import checked_number
 from ekfslam.errors import InputError
+from ekfslam.filters.delayed import FROM, ROWS
 from ekfslam.filters.measure import INVERSE_DEPTH, POINT
 from ekfslam.filters.variants import EKF, ROBOCENTRIC
 from ekfslam.geometry import Array
@@ -85,6 +86,7 @@ class Settings(NamedTuple):
     tolerance: float
     largest: int
     most: int
+    delay_from: int
 
 
 @dataclass(frozen=True)
@@ -159,6 +161,10 @@ class Options:
     corrupt : int
         Delete a landmark when `known_gate` has refused so many sightings of it in a row; 0, the
         default, never does, nor does it without a gate.
+    delay : int, optional
+        Rows of corrections that may wait before the whole map is updated, see
+        `ekfslam.filters.delayed`; 0 for none. By default as many as pay on a map of its size. The
+        estimate is the same but for rounding.
 
     Raises
     ------
@@ -188,6 +194,7 @@ class Options:
     prune: float = 0.001
     forget: int = 0
     corrupt: int = 0
+    delay: int | None = None
     variant = EKF  # of the family, no option: every filter of `ekfslam.filters.family` has its own
 
     def __post_init__(self) -> None:
@@ -229,6 +236,14 @@ class Options:
             whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
             if not whole or not least <= value <= MOST:
                 raise InputError(f"{name} must be a whole number from {least} on, got {value!r}")
+        if self.delay is not None and not (
+            isinstance(self.delay, int | np.integer)
+            and self.delay is not True
+            and 0 <= self.delay <= LARGEST_LOOK
+        ):
+            raise InputError(
+                f"delay must be a number of rows from 0 to {LARGEST_LOOK}, got {self.delay!r}"
+            )
         if not 0 <= checked_number(self.prune, "prune") < 1:
             raise InputError(f"prune must be in [0, 1), got {self.prune}")
         if self.confirm > self.within:
@@ -298,7 +313,19 @@ class Options:
             tolerance=0.0,
             largest=largest,
             most=int(most),
+            delay_from=self._delay_from(),
         )
+
+    @property
+    def late(self) -> int:
+        """Rows of corrections that may wait."""
+        return ROWS if self.delay is None else int(self.delay)
+
+    def _delay_from(self) -> int:
+        """Coordinates of a state from which the map update is delayed."""
+        if self.delay is None:
+            return FROM
+        return 0 if self.delay > 0 else int(np.iinfo(np.int64).max)
 
     def _threshold(self, association: str) -> float:
         """Of the methods that have only one, on what they compare with it."""

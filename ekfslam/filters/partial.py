@@ -9,6 +9,7 @@ from ekfslam.compiled import prepare
 from ekfslam.dataset import Sightings
 from ekfslam.estimates import Decision
 from ekfslam.filters.arrays import Journal, Log, State
+from ekfslam.filters.delayed import bring_up_to_date
 from ekfslam.filters.hypotheses import start_bank, update_bank
 from ekfslam.filters.initiation import start_direction, start_uninformed, starts_as_point
 from ekfslam.filters.measure import BANKED
@@ -32,7 +33,10 @@ def see_to_partial(
         index, decision, kind = int(log.landmark[i]), int(log.decision[i]), int(sightings.kind[i])
         if index < 0:
             continue
-        if decision == Decision.ACCEPTED and state.register.sizes[index] == BANKED:
+        banked = decision == Decision.ACCEPTED and state.register.sizes[index] == BANKED
+        if banked or (decision == Decision.NEW and not starts_as_point(kind, settings)):
+            bring_up_to_date(state.slam)
+        if banked:
             update_bank(state, sightings, i, settings, log)
         elif decision == Decision.NEW:
             if starts_as_point(kind, settings):
@@ -55,6 +59,7 @@ def prepare_partial(
 ) -> None:
     """Compile what `see_to_partial` may call with such state."""
     one = state, sightings, 0
+    prepare(bring_up_to_date, state.slam)
     prepare(starts_as_point, 0, settings)
     prepare(start_direction, *one, log, journal)
     prepare(to_points, *one, 0, settings, log, journal)

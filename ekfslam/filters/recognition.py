@@ -19,7 +19,7 @@ from ekfslam.association.nearest import (
 )
 from ekfslam.compiled import compiled, inlined
 from ekfslam.estimates import Decision
-from ekfslam.filters.evidence import against, cross, entry, gather
+from ekfslam.filters.evidence import against, cross, gather
 from ekfslam.filters.measure import BANKED, POINT, locate, moved, placed, rows_of
 from ekfslam.filters.options import (
     ALLOCATED,
@@ -101,7 +101,8 @@ def verify(state, sightings, i, settings, log):  # type: ignore[no-untyped-def]
         return
     for a in range(d):
         nu[a] = moved(nu, H, there, point, size, a)
-    cross(slam.covariance, pose, at, size, H, at, size, H, d, S)
+    P, late, held = slam.covariance, slam.late, slam.held[0]
+    cross(P, late, held, pose, at, size, H, at, size, H, d, S)
     distance, _ = against(nu, S, sightings.covariance[i], d)
     log.S[i, :d, :d] = S[:d, :d] + sightings.covariance[i, :d, :d]
     if not distance <= settings.known[d]:
@@ -133,6 +134,7 @@ def decide_jointly(state, sightings, evidence, settings, choice):  # type: ignor
     """
     register, mean, P = state.register, state.slam.mean, state.slam.covariance
     points, variant = state.slam.points.at, settings.variant
+    late, held = state.slam.late, state.slam.held[0]
     distances, candidates, rows = evidence.distances, evidence.candidates, evidence.rows
     m = rows.size
     if m == 0:
@@ -169,6 +171,8 @@ def decide_jointly(state, sightings, evidence, settings, choice):  # type: ignor
             two = candidates[column[q]]
             cross(
                 P,
+                late,
+                held,
                 pose,
                 register.offsets[one],
                 register.sizes[one],
@@ -247,7 +251,7 @@ def confirmed(state, sightings, i, settings):  # type: ignore[no-untyped-def]
     else:
         for j in range(3):
             for k in range(3):
-                block[j, k] = entry(P, pose + j, pose + k)
+                block[j, k] = P[pose + min(j, k), pose + max(j, k)]
     for a in range(POINT):
         for b in range(POINT):
             for j in range(3):

@@ -13,6 +13,7 @@ import numpy as np
 from ekfslam.association.descriptors import running_mean
 from ekfslam.compiled import compiled
 from ekfslam.estimates import Decision, Linearizations
+from ekfslam.filters.delayed import bring_up_to_date
 from ekfslam.filters.kernels import remove, replace
 from ekfslam.filters.measure import INVERSE_DEPTH, POINT, POSE, point_of
 from ekfslam.filters.variants import INVARIANT
@@ -43,6 +44,7 @@ def close_up(state, at, size):  # type: ignore[no-untyped-def]
 def drop(state, at, size):  # type: ignore[no-untyped-def]
     """Marginalise coordinates of the map."""
     slam = state.slam
+    bring_up_to_date(slam)
     n, points = slam.size[0], slam.points
     remove(slam.mean, slam.covariance, n, at, size)
     for column in (points.at, points.first):
@@ -77,6 +79,7 @@ def to_points(state, sightings, first, last, settings, log, journal):  # type: i
         index = log.landmark[i]
         if log.decision[i] != ACCEPTED or index < 0 or register.sizes[index] != INVERSE_DEPTH:
             continue
+        bring_up_to_date(slam)
         at = register.offsets[index]
         variance = P[at + 3, at + 3]
         if mean[at + 3] + SURE * math.sqrt(max(variance, 0.0)) < 0.0:
@@ -135,7 +138,7 @@ def keep_evidence(state, sightings, first, last, settings, log):  # type: ignore
     A miss counts only for a landmark that is inside the view by three sigmas all around. The count
     starts at 0 and never exceeds `forget`; at ``-forget`` the landmark is deleted.
     """
-    register, mean, P = state.register, state.slam.mean, state.slam.covariance
+    register, slam = state.register, state.slam
     offsets, sizes, evidence = register.offsets, register.sizes, register.evidence
     pose, mount, limits = (
         3 * sightings.robot[first],
@@ -152,7 +155,7 @@ def keep_evidence(state, sightings, first, last, settings, log):  # type: ignore
         if seen[index]:
             evidence[index] = min(evidence[index] + 1, settings.forget)
             continue
-        distance, bearing, sigma = sighted(mean, P, offsets[index], pose, mount, invariant)
+        distance, bearing, sigma = sighted(slam, offsets[index], pose, mount, invariant)
         if surely_sees(distance, bearing, SURE * sigma, limits):
             evidence[index] -= 1
             if evidence[index] <= -settings.forget:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ekfslam.association.index import build, near
 from ekfslam.compiled import compiled
+from ekfslam.filters.delayed import entry
 from ekfslam.filters.kernels import wrap
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.filters.variants import INVARIANT, ROBOCENTRIC
@@ -17,7 +18,7 @@ LARGE = 1000  # landmarks from which the spatial index pays
 
 
 @compiled
-def sighted(mean, P, at, pose, mount, invariant):  # type: ignore[no-untyped-def]
+def sighted(slam, at, pose, mount, invariant):  # type: ignore[no-untyped-def]
     """Where a sensor should see a point: range, bearing, and one sigma of its place [m].
 
     The sigma leaves correlations out, and so is cautious. Not so of right-invariant errors, which
@@ -26,24 +27,33 @@ def sighted(mean, P, at, pose, mount, invariant):  # type: ignore[no-untyped-def
 
     Parameters
     ----------
-    mean, P
-        The map.
+    slam : MapArrays
     at, pose : int
         First coordinates of the point and of the robot's pose.
     mount : (3,) ndarray
     invariant : bool
         Whether P is of right-invariant errors.
     """
-    c, s = math.cos(mean[pose + 2]), math.sin(mean[pose + 2])
-    x = mean[at] - mean[pose] - c * mount[0] + s * mount[1]
-    y = mean[at + 1] - mean[pose + 1] - s * mount[0] - c * mount[1]
-    distance = math.sqrt(x * x + y * y)
-    variance = P[at, at] + P[at + 1, at + 1] + P[pose, pose] + P[pose + 1, pose + 1]
+    mean, P, late, held = slam.mean, slam.covariance, slam.late, slam.held[0]
+    own = entry(P, late, held, at, at) + entry(P, late, held, at + 1, at + 1)
+    distance, bearing, sigma = seen_from(mean, P, pose, mount, mean[at], mean[at + 1], own)
     if invariant:
+        variance = own + P[pose, pose] + P[pose + 1, pose + 1]
         variance -= 2.0 * (P[pose, at] + P[pose + 1, at + 1])
-    else:
-        variance += distance * distance * P[pose + 2, pose + 2]
-    bearing = wrap(math.atan2(y, x) - mean[pose + 2] - mount[2])
+        sigma = math.sqrt(max(variance, 0.0))
+    return distance, bearing, sigma
+
+
+@compiled
+def seen_from(mean, P, pose, mount, x, y, own):  # type: ignore[no-untyped-def]
+    """`sighted` of any point (x, y), with the trace of its covariance."""
+    c, s = math.cos(mean[pose + 2]), math.sin(mean[pose + 2])
+    east = x - mean[pose] - c * mount[0] + s * mount[1]
+    north = y - mean[pose + 1] - s * mount[0] - c * mount[1]
+    distance = math.sqrt(east * east + north * north)
+    variance = own + P[pose, pose] + P[pose + 1, pose + 1]
+    variance += distance * distance * P[pose + 2, pose + 2]
+    bearing = wrap(math.atan2(north, east) - mean[pose + 2] - mount[2])
     return distance, bearing, math.sqrt(max(variance, 0.0))
 
 
@@ -84,7 +94,7 @@ def feasible(slam, register, robot, mount, limits, noise, variant):  # type: ign
         right-invariant errors and in the frame of a robot, the grid, which rests on a bound, is
         not used.
     """
-    mean, P, offsets, sizes = slam.mean, slam.covariance, register.offsets, register.sizes
+    offsets, sizes = register.offsets, register.sizes
     count, pose = register.used[0], POSE * robot
     invariant = variant == INVARIANT
     bounded = variant not in (INVARIANT, ROBOCENTRIC)
@@ -100,7 +110,7 @@ def feasible(slam, register, robot, mount, limits, noise, variant):  # type: ign
         if at < 0:
             continue
         if sizes[index] == POINT:
-            distance, bearing, sigma = sighted(mean, P, at, pose, mount, invariant)
+            distance, bearing, sigma = sighted(slam, at, pose, mount, invariant)
             if not may_see(distance, bearing, SURE * (sigma + noise), limits):
                 continue
         found[n] = index
@@ -132,18 +142,7 @@ def in_range(slam, register, pose, mount, reach, noise):  # type: ignore[no-unty
         else:
             others[rest] = index
             rest += 1
-    c, s = math.cos(mean[pose + 2]), math.sin(mean[pose + 2])
-    x = mean[pose] + c * mount[0] - s * mount[1]
-    y = mean[pose + 1] + s * mount[0] + c * mount[1]
-    own = P[pose, pose] + P[pose + 1, pose + 1]
-    # A landmark at distance r is in range if r - 3 (sigma(r) + noise) <= reach; with the sigma of
-    # the heading t, sigma(r) <= sqrt(spread^2 + own) + r t.
-    share = 1.0 - SURE * math.sqrt(max(P[pose + 2, pose + 2], 0.0))
-    radius = reach + SURE * (math.sqrt(spread * spread + max(own, 0.0)) + noise)
-    if share < 0.1:  # a heading that says nothing
-        radius = np.inf
-    else:
-        radius /= share
+    x, y, radius = around(mean, P, pose, mount, reach, noise, spread)
     hits = np.empty(points, np.int64)
     if radius < np.inf:
         grid = build(positions, points, max(radius, 1e-3))
@@ -159,3 +158,30 @@ def in_range(slam, register, pose, mount, reach, noise):  # type: ignore[no-unty
     if rest > 0:
         found.sort()
     return found
+
+
+@compiled
+def around(mean, P, pose, mount, reach, noise, spread):  # type: ignore[no-untyped-def]
+    """Centre and radius of a circle that has all that may be in the range of a sensor.
+
+    Parameters
+    ----------
+    mean, P
+        Of the pose.
+    pose : int
+    mount : (3,) ndarray
+    reach, noise : float
+        Of the sensor [m].
+    spread : float
+        Bound on the sigma of any landmark [m].
+    """
+    c, s = math.cos(mean[pose + 2]), math.sin(mean[pose + 2])
+    x = mean[pose] + c * mount[0] - s * mount[1]
+    y = mean[pose + 1] + s * mount[0] + c * mount[1]
+    own = P[pose, pose] + P[pose + 1, pose + 1]
+    # A landmark at distance r is in range if r - 3 (sigma(r) + noise) <= reach; with the sigma of
+    # the heading t, sigma(r) <= sqrt(spread^2 + own) + r t.
+    share = 1.0 - SURE * math.sqrt(max(P[pose + 2, pose + 2], 0.0))
+    if not share > 0.1:  # a heading that says nothing
+        return x, y, np.inf
+    return x, y, (reach + SURE * (math.sqrt(spread * spread + max(own, 0.0)) + noise)) / share

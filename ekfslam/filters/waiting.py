@@ -13,6 +13,7 @@ import numpy as np
 
 from ekfslam.compiled import compiled
 from ekfslam.estimates import Decision, Linearizations
+from ekfslam.filters.delayed import bring_up_to_date
 from ekfslam.filters.journal import record
 from ekfslam.filters.kernels import append, correct, project, times_transposed
 from ekfslam.filters.measure import POINT, POSE, expect, foresee, innovate, moved, placed
@@ -322,6 +323,7 @@ def use_waiting(state, index, settings, journal):  # type: ignore[no-untyped-def
     at, size, d = state.register.offsets[index], state.register.sizes[index], 1
     point, H, z, value = np.zeros(4), np.zeros((2, 7)), np.zeros(2), np.zeros(2)
     for w in waiting_for(state, index):
+        bring_up_to_date(slam)
         clone = waiting.clone[w]
         pose, kind, n = waiting.clones[clone], waiting.kind[w], slam.size[0]
         past, there = slam.mean[pose : pose + POSE], slam.mean[at : at + size]

@@ -1,0 +1,298 @@
+"""The local map of the compressed filter (Guivant and Nebot 2001), and the way home from it.
+
+While only landmarks of an area A are seen, the rest B of the map changes by what A carries to it:
+
+    P_AB = Phi P_AB(0),   P_BB = P_BB(0) - P_BA(0) Psi P_AB(0),   x_B = x_B(0) + P_BA(0) theta
+
+where Phi starts as the identity, Psi and theta as zero, and every motion and correction changes
+them as it changes A. They need no equations of their own: they are what the filter makes of further
+coordinates c, one for each of A, with cov(a, c) = Phi, cov(c, c) = -Psi and mean theta, that are
+never observed. So the local map is an ordinary map of (a, c), and the filter runs on it as it is.
+
+A landmark of B enters A when it is seen: as far as A is concerned it is ``x(0) + P(0) c`` plus an
+error of its own, which is landmark initialization, with the carried coordinates for the pose. Thus
+an area is what has been seen since the last way home, whatever the path.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dpstrf
+
+from ekfslam.association.index import Grid, near
+from ekfslam.blas import subtract_square
+from ekfslam.compiled import compiled, now
+from ekfslam.filters.ekf_slam import DONE, GROW, run
+from ekfslam.filters.measure import POINT, POSE
+from ekfslam.filters.options import KNOWN
+from ekfslam.filters.visibility import SURE, around, may_see, seen_from
+from ekfslam.geometry import Array
+
+LEAVE = 4  # beside DONE, GROW, INDEFINITE and LOOK: the area is full
+EACH = 2 * POINT  # local coordinates of a landmark: its own, and those it carries
+
+
+class Area(NamedTuple):
+    """What ties a local map to the whole one.
+
+    Attributes
+    ----------
+    home : (capacity,) ndarray of int
+        By register index, where a landmark stands in the whole map; -1 for one that does not yet.
+    carried : (most,) ndarray of int
+        Local coordinates c, in the order in which they came.
+    origin : (most,) ndarray of int
+        Coordinate of the whole map that each is of.
+    count : (1,) ndarray of int
+        How many there are.
+    full : int
+        Local coordinates from which on nothing more is brought in.
+    """
+
+    home: np.ndarray
+    carried: np.ndarray
+    origin: np.ndarray
+    count: np.ndarray
+    full: int
+
+
+@compiled
+def run_locally(  # type: ignore[no-untyped-def]
+    start,
+    stop,
+    deltas,
+    Qs,
+    offsets,
+    sightings,
+    slam,
+    register,
+    whole,
+    area,
+    settings,
+    log,
+    other,
+):
+    """`ekfslam.filters.ekf_slam.run` on the local map; stops for `LEAVE` before a step, too."""
+    for k in range(start, stop):
+        begin, first, last = now(), offsets[k], offsets[k + 1]
+        if settings.method == KNOWN:
+            missing, new = beyond(sightings, first, last, register, area)
+            size, poses = slam.size[0] + EACH * missing.size, POSE * settings.robots
+            full = size + POINT * new > area.full and missing.size + new > 0
+            if full and slam.size[0] > 2 * poses:  # a look that is too large has no better place
+                return k, LEAVE
+            if size + POINT * (last - first) + poses > slam.mean.size:
+                return k, GROW
+            for index in missing:
+                bring_in(index, slam, register, whole, area)
+        before = now() - begin
+        _, why = run(k, k + 1, deltas, Qs, offsets, sightings, slam, register, settings, log, other)
+        if why != DONE:
+            return k, why
+        log.seconds[k] += before
+    return stop, DONE
+
+
+@compiled
+def beyond(sightings, first, last, register, area):  # type: ignore[no-untyped-def]
+    """Landmarks that are seen and stand in the whole map alone, by register index.
+
+    Returns
+    -------
+    (m,) ndarray of int, int
+        And how many sightings are of landmarks that stand in neither map.
+    """
+    missing = np.empty(last - first, np.int64)
+    count, new = 0, 0
+    for i in range(first, last):
+        index = sightings.landmark[i]
+        if index < 0 or register.offsets[index] >= 0:
+            continue
+        if area.home[index] < 0:
+            new += 1
+        elif not (missing[:count] == index).any():
+            missing[count] = index
+            count += 1
+    return missing[:count], new
+
+
+class Survey(NamedTuple):
+    """Where the landmarks of the whole map were at some time, sorted for a search.
+
+    Attributes
+    ----------
+    grid : Grid
+    which : (N,) ndarray of int
+        Register index of each of its points.
+    spread : float
+        The largest sigma of any of them [m].
+    """
+
+    grid: Grid
+    which: np.ndarray
+    spread: float
+
+
+@compiled
+def within_reach(survey, moved, slam, register, whole, area, robot, mount, limits, noise):  # type: ignore[no-untyped-def]
+    """Landmarks beyond the area that may be visible, by register index: none is left out.
+
+    With w of innovations whitened, the corrections since a survey have moved a landmark by
+    ``P(0) sum Phi' H' S^-1 nu``: by the inequality of Cauchy and Schwarz no more than its sigma
+    times ``|w|``. So a circle that is larger by that much has all that may be in view; of these the
+    place is computed as it is now. The variance that a landmark had at the last way home is no
+    smaller than what it has now, and than the part of it that any correction took.
+
+    Parameters
+    ----------
+    survey : Survey
+    moved : float
+        Sum of the NIS of all corrections since the survey.
+    robot : int
+    mount, limits : (3,) ndarray
+        Of the sensor.
+    noise : float
+        Standard deviation of a sighting, as a length [m].
+    """
+    mean, pose = slam.mean, POSE * robot
+    x, y, radius = around(mean, slam.covariance, pose, mount, limits[1], noise, survey.spread)
+    hits = np.empty(survey.which.size, np.int64)
+    radius += survey.spread * math.sqrt(moved)
+    count = near(survey.grid, x, y, radius, hits) if radius < np.inf else hits.size
+    if radius == np.inf:
+        hits[:] = np.arange(hits.size)
+    w, found, n = np.zeros((POINT, slam.size[0])), np.empty(count, np.int64), 0
+    for hit in hits[:count]:
+        index = survey.which[hit]
+        if register.offsets[index] >= 0:
+            continue
+        at = area.home[index]
+        for a in range(POINT):
+            ties(index, whole, area, w[a], a)
+        here_x = whole.mean[at] + w[0] @ mean[: slam.size[0]]
+        here_y = whole.mean[at + 1] + w[1] @ mean[: slam.size[0]]
+        own = whole.covariance[at, at] + whole.covariance[at + 1, at + 1]
+        seen = seen_from(mean, slam.covariance, pose, mount, here_x, here_y, own)
+        if may_see(seen[0], seen[1], SURE * (seen[2] + noise), limits):
+            found[n] = index
+            n += 1
+    return found[:n]
+
+
+@compiled
+def ties(index, whole, area, w, coordinate):  # type: ignore[no-untyped-def]
+    """Write P(0) between a coordinate of a landmark beyond and what is carried, to where that is.
+
+    Parameters
+    ----------
+    w : (local size,) ndarray
+        Written where there are carried coordinates.
+    coordinate : int
+        0 for x, 1 for y.
+    """
+    P, at = whole.covariance, area.home[index] + coordinate
+    for j in range(area.count[0]):
+        origin = area.origin[j]
+        w[area.carried[j]] = P[at, origin] if at <= origin else P[origin, at]
+
+
+@compiled
+def bring_in(index, slam, register, whole, area):  # type: ignore[no-untyped-def]
+    """A landmark of the whole map enters the local one, and carries from now on, O(n^2) locally."""
+    n, at = slam.size[0], area.home[index]
+    mean, P = slam.mean, slam.covariance
+    w, rows = np.zeros((POINT, n)), np.zeros((POINT, n))
+    for a in range(POINT):
+        ties(index, whole, area, w[a], a)
+    times_symmetric(P, n, w, rows)
+    for a in range(POINT):
+        mean[n + a] = whole.mean[at + a] + w[a] @ mean[:n]
+        mean[n + POINT + a] = 0.0
+        for b in range(a, POINT):
+            P[n + a, n + b] = whole.covariance[at + a, at + b] + rows[a] @ w[b]
+        for b in range(POINT):
+            P[n + a, n + POINT + b] = 1.0 if a == b else 0.0
+            P[n + POINT + a, n + POINT + b] = 0.0
+    for j in range(n):
+        P[j, n], P[j, n + 1], P[j, n + 2], P[j, n + 3] = rows[0, j], rows[1, j], 0.0, 0.0
+    slam.size[0] = n + EACH
+    register.offsets[index] = n
+    carry(area, n + POINT, at, POINT)
+
+
+@compiled
+def carry(area, local, origin, size):  # type: ignore[no-untyped-def]
+    """Note coordinates that are carried."""
+    count = area.count[0]
+    for c in range(size):
+        area.carried[count + c], area.origin[count + c] = local + c, origin + c
+    area.count[0] = count + size
+
+
+@compiled
+def times_symmetric(P, n, w, rows):  # type: ignore[no-untyped-def]
+    """``rows += w P`` of two rows, reading each entry of the triangle once."""
+    for i in range(n):
+        tail, a, b = P[i, i + 1 : n], w[0, i], w[1, i]
+        left, right = w[0, i + 1 : n], w[1, i + 1 : n]
+        down, up = rows[0, i + 1 : n], rows[1, i + 1 : n]
+        first, second = a * P[i, i], b * P[i, i]
+        for j in range(tail.size):
+            first += left[j] * tail[j]
+            second += right[j] * tail[j]
+            down[j] += a * tail[j]
+            up[j] += b * tail[j]
+        rows[0, i] += first
+        rows[1, i] += second
+
+
+# The way home ------------------------------------------------------------------------------------
+
+
+@compiled
+def read_rows(P, n, which, rows):  # type: ignore[no-untyped-def]
+    """Whole rows of a triangle, (which.size, n)."""
+    for k in range(which.size):
+        at = which[k]
+        for j in range(at):
+            rows[k, j] = P[j, at]
+        rows[k, at:n] = P[at, at:n]
+
+
+@compiled
+def write_rows(P, n, which, rows):  # type: ignore[no-untyped-def]
+    """The opposite; where two rows meet, the later one stands."""
+    for k in range(which.size):
+        at = which[k]
+        for j in range(at):
+            P[j, at] = rows[k, j]
+        P[at, at:n] = rows[k, at:n]
+
+
+@compiled
+def reduce_rest(P, n, W):  # type: ignore[no-untyped-def]
+    """``P -= W' W`` on the triangle."""
+    subtract_square(P, W, W.shape[0], n)
+
+
+def square_root(psi: Array) -> Array:
+    """C (c, r) with ``C C' = psi``, r its numerical rank.
+
+    Parameters
+    ----------
+    psi : (c, c) ndarray
+        Positive semidefinite up to rounding: of coordinates that nothing was seen of, it is zero.
+    """
+    scale = np.sqrt(np.maximum(np.diag(psi), 0.0))
+    seen = np.flatnonzero(scale > 0.0)
+    root = np.zeros((len(psi), len(seen)))
+    if not len(seen):
+        return root
+    unit = psi[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen])
+    factor, pivots, rank, _ = dpstrf(unit, lower=1)
+    lower = np.tril(factor)[:, :rank]
+    root[seen[pivots - 1], :rank] = scale[seen[pivots - 1], None] * lower
+    return root[:, :rank]
