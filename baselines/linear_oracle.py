@@ -12,14 +12,18 @@ such quantities are linear forms of regular unknowns.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from itertools import accumulate
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
 from gtsam import noiseModel
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
 
 from ekfslam import geometry as geo
+from ekfslam.checks import check_fits
 from ekfslam.estimates import Linearizations
 from ekfslam.geometry import Array
 from ekfslam.robots import Prior
@@ -28,6 +32,7 @@ NEGLIGIBLE = 1e-15  # a variance this small beside the largest is none
 REGULAR = 1e-3  # a standard deviation this large beside the largest is good to divide by
 POSES, LANDMARKS = 1 << 40, 1 << 41  # first keys; poses in order of time
 TERMS = 3  # that gtsam takes in one factor from Python
+AT_ONCE = 256  # columns of the covariance
 
 
 class OracleSolution(NamedTuple):
@@ -95,32 +100,71 @@ class _Problem:
     def solve(self, asked: Sequence[_Form]) -> tuple[Array, Array]:
         """Values of some forms, and their joint covariance.
 
-        Poses that none of them needs are eliminated by gtsam; what remains is solved densely.
+        gtsam eliminates all unknowns to ``R x = d`` with a sparse R; the covariance
+        ``W (R' R)^-1 W'`` of what is asked for, W x, is solved for some columns at a time.
+
+        Raises
+        ------
+        UnsupportedError
+            If it does not fit into memory.
         """
-        needed = {key for form in asked for key in form.terms}
-        early, rest = gtsam.Ordering(), gtsam.Ordering()
-        columns, count = {}, 0
-        for key in sorted(self._widths):
-            if key < LANDMARKS and key not in needed:
-                early.push_back(key)
-            else:
-                rest.push_back(key)
-                columns[key] = slice(count, count + self._widths[key])
-                count = columns[key].stop
-        graph = self._graph
-        if early.size():
-            _, graph = graph.eliminatePartialSequential(early, gtsam.EliminateQR)
-        _, R = np.linalg.qr(np.column_stack(graph.jacobian(rest)))
-        wanted = np.zeros((sum(len(form.anchor) for form in asked), count))
-        row = 0
-        for form in asked:
-            end = row + len(form.anchor)
-            for key, A in form.terms.items():
-                wanted[row:end, columns[key]] = A
-            row = end
-        root = np.linalg.solve(R[:count, :count].T, wanted.T).T
+        size = sum(len(form.anchor) for form in asked)
+        check_fits(
+            8 * size**2, f"the joint covariance of {size} coordinates from the linear oracle"
+        )
+        R, d, first = self._eliminated()
+        # R itself, made ready; the stubs do not know that it solves the transpose, too.
+        factor: Any = splu(R, permc_spec="NATURAL", diag_pivot_thresh=0.0)
+        terms = [
+            (row, first[key], A)
+            for row, form in zip(_starts(len(f.anchor) for f in asked), asked, strict=True)
+            for key, A in form.terms.items()
+        ]
+        wanted = _sparse(terms, (size, len(d))).tocsr()
         anchors = np.concatenate([form.anchor for form in asked])
-        return anchors + root @ R[:count, count], root @ root.T
+        covariance = np.empty((size, size))
+        for begin in range(0, size, AT_ONCE):
+            own, later = slice(begin, begin + AT_ONCE), slice(begin, None)
+            root = factor.solve(wanted[own].toarray().T, "T")
+            columns = wanted[later] @ factor.solve(root)
+            symmetric = columns[: columns.shape[1]]
+            symmetric[:] = 0.5 * (symmetric + symmetric.T)
+            covariance[later, own], covariance[own, later] = columns, columns.T
+        return anchors + wanted @ factor.solve(d), covariance
+
+    def _eliminated(self) -> tuple[csc_array, Array, dict[int, int]]:
+        """R, d, and the first column of each unknown, in an order that leaves few entries."""
+        ordering = gtsam.Ordering.ColamdGaussianFactorGraph(self._graph)
+        keys = [ordering.at(i) for i in range(ordering.size())]
+        first = dict(zip(keys, _starts(self._widths[key] for key in keys), strict=True))
+        net = self._graph.eliminateSequential(ordering, gtsam.EliminateQR)
+        count = sum(self._widths.values())
+        terms, d = [], np.empty(count)
+        for conditional in map(net.at, range(net.size())):
+            own, *others = conditional.keys()
+            parts, ends = conditional.S(), _starts(self._widths[key] for key in others)
+            terms.append((first[own], first[own], conditional.R()))
+            for key, at in zip(others, ends, strict=True):
+                terms.append((first[own], first[key], parts[:, at : at + self._widths[key]]))
+            d[first[own] : first[own] + self._widths[own]] = conditional.d()
+        return _sparse(terms, (count, count)), d, first
+
+
+def _starts(lengths: Iterable[int]) -> list[int]:
+    """Where parts of some lengths begin, one after the other."""
+    return [0, *accumulate(lengths)][:-1]
+
+
+def _sparse(terms: Sequence[tuple[int, int, Array]], shape: tuple[int, int]) -> csc_array:
+    """A matrix of blocks, with their first row and column."""
+    sizes = np.array([A.shape for _, _, A in terms])
+    counts = sizes.prod(axis=1)
+    row, column, width = (
+        np.repeat(v, counts) for v in (*np.array([t[:2] for t in terms]).T, sizes[:, 1])
+    )
+    inside = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    entries = np.concatenate([A.ravel() for _, _, A in terms])
+    return csc_array((entries, (row + inside // width, column + inside % width)), shape=shape)
 
 
 def solve(priors: Sequence[Prior], linear: Linearizations) -> OracleSolution:

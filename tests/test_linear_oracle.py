@@ -3,15 +3,19 @@
 from dataclasses import fields, replace
 
 import numpy as np
+import psutil
 import pytest
+from corridor import corridor
 from linear_case import known_headings, least_squares
 from numerics import subtract_angles
 from problems import rows_kept
 from textbook import TextbookEkf, two_sensors
 
+from baselines import linear_oracle
 from baselines.linear_oracle import solve
 from ekfslam import geometry as geo
 from ekfslam.dataset import Prior
+from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import Linearizations
 from ekfslam.filters.ekf import Ekf
 from ekfslam.simulation import load_scenario, simulate
@@ -320,6 +324,51 @@ def test_a_landmark_without_a_prior_is_the_limit_of_a_wide_one():
     flat, wide = solved(0.0), solved(1e7)
     np.testing.assert_allclose(flat.poses, wide.poses, rtol=0, atol=1e-5)
     np.testing.assert_allclose(flat.covariance, wide.covariance, rtol=0, atol=1e-5)
+
+
+# Large problems ---------------------------------------------------------------------------------
+
+
+def test_the_covariance_does_not_depend_on_how_many_columns_are_solved_at_once(monkeypatch):
+    dataset = drawn("team")
+    linear = Ekf().linearizations(dataset)[1]
+    priors = [robot.prior for robot in dataset.robots]
+    whole = solve(priors, linear)
+    monkeypatch.setattr(linear_oracle, "AT_ONCE", 5)
+    parts = solve(priors, linear)
+    size = np.abs(whole.covariance).max()
+    off = np.abs(parts.covariance - whole.covariance).max()
+    assert len(whole.covariance) > 2 * 5
+    assert off < 1e-13 * size
+    for solution in (whole, parts):
+        np.testing.assert_array_equal(solution.covariance, solution.covariance.T)
+
+
+def test_the_factor_grows_like_the_run(monkeypatch):
+    """A dense one, or one of landmarks that all hang together, has four times the entries."""
+    entries = []
+    eliminated = linear_oracle._Problem._eliminated
+
+    def watched(problem):
+        R, d, first = eliminated(problem)
+        entries.append(R.nnz)
+        return R, d, first
+
+    monkeypatch.setattr(linear_oracle._Problem, "_eliminated", watched)
+    for steps in (60, 120):
+        dataset = corridor(steps)
+        solve([dataset.prior], Ekf().linearizations(dataset)[1])
+    assert entries[1] < 2.4 * entries[0]
+
+
+def test_a_covariance_that_does_not_fit_is_refused(monkeypatch):
+    memory = psutil.virtual_memory()._replace(available=500)
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: memory)
+    dataset = drawn("cloister")
+    estimate, linear = Ekf().linearizations(dataset)
+    size = 3 + 2 * len(estimate.landmarks)
+    with pytest.raises(UnsupportedError, match=rf"of {size} coordinates .* 500 B are free"):
+        solve([dataset.prior], linear)
 
 
 # The linear case --------------------------------------------------------------------------------
