@@ -227,7 +227,7 @@ def test_crossings_are_met_again_round_the_block_and_after_the_long_way():
     assert max(metres) > 3000
 
 
-@pytest.mark.parametrize("steps", [1, 77, 400, 700])
+@pytest.mark.parametrize("steps", [1, 35, 77, 400, 700])
 def test_a_short_tour_is_the_beginning_of_the_whole_one(steps):
     whole, short = driven(300), driven(300, steps=steps)
     assert len(short) == steps + 1
