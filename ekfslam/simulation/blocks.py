@@ -67,11 +67,8 @@ class Blocks(NamedTuple):
         for name, value, least in (("block", block, LEAST_BLOCK), ("facade", facade, LEAST_GAP)):
             if not (np.isfinite(value) and value >= least):
                 raise InputError(f"{name} must be at least {least:g} m, got {value}")
-        for size in counting(2):
-            city = cls(size // 2, (size - 1) // 2 or 1, block)
-            if city.facades >= facade * count:
-                return city
-        raise AssertionError  # no city is too large
+        cities = (cls((size + 1) // 2, size // 2, block) for size in counting(2))
+        return next(city for city in cities if city.facades >= facade * count)
 
     @property
     def streets(self) -> list[Street]:
@@ -88,7 +85,8 @@ class Blocks(NamedTuple):
     @property
     def facades(self) -> float:
         """Length of all facades [m]."""
-        return 2 * len(self.streets) * self.facade
+        streets = self.columns * (self.rows + 1) + self.rows * (self.columns + 1)
+        return 2 * streets * self.facade
 
     def beside(self, along: Array, setback: Array) -> Array:
         """Points (m, 2) of the facades [m]: left of a street, right of it, left of the next one.
