@@ -110,6 +110,7 @@ class GtsamBatch:
         if first.landmarks is None:
             raise UnsupportedError(f"{first.estimator} offers nothing to start from")
         entry, positions = all_at_once(problem, poses, first.landmarks)
+        del first  # it may hold the joint covariance of a large map
         found = self.solve(problem, blank, poses, positions, rows_of(problem, entry), started)
         if found.status == FAILED:
             return found

@@ -90,9 +90,12 @@ class Entrance:
     def forget(self, step: int) -> None:
         """Give up what was kept back from before a step: its poses are known no more."""
         first = int(self._dataset.offsets[max(step, 0)])
+        waiting = {}
         for landmark, kept in self._kept.items():
             self.lost += [row for row in kept if row < first]
-            self._kept[landmark] = [row for row in kept if row >= first]
+            if kept[-1] >= first:
+                waiting[landmark] = [row for row in kept if row >= first]
+        self._kept = waiting
 
     def arrive(
         self, rows: Iterable[int], poses_at: PosesAt
@@ -156,18 +159,20 @@ def all_at_once(
     shown = problem.mapped[rows]
     given = dict(zip(landmarks.ids.tolist(), landmarks.positions, strict=True))
     whole = set(shown[~partial(dataset, rows)].tolist())
-    ids, first = np.unique(shown, return_index=True)
+    ids, counts = np.unique(shown, return_counts=True)
+    ordered = rows[np.argsort(shown, kind="stable")]
+    of_each = np.split(ordered, np.cumsum(counts))[:-1]
     entry, positions = {}, {}
-    for landmark, row in zip(ids.tolist(), rows[first].tolist(), strict=True):
+    for landmark, own in zip(ids.tolist(), of_each, strict=True):
         if landmark < 0:
             continue
         position = given.get(landmark)
         if position is None or landmark not in whole:
-            found = located(dataset, rows[shown == landmark].tolist(), poses_at)
+            found = located(dataset, own.tolist(), poses_at)
             if found is None:
                 continue
             position = found if position is None else position
-        entry[landmark], positions[landmark] = row, position
+        entry[landmark], positions[landmark] = int(own[0]), position
     return entry, positions
 
 

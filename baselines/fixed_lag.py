@@ -13,9 +13,15 @@ from baselines import entry, keys
 from baselines.landmark_graph import LandmarkGraph
 from baselines.stepwise import Arrivals, Stepwise, fed, parameters_of
 from ekfslam import geometry as geo
+from ekfslam.checks import check_fits
+from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import Estimate, LandmarkEstimates
 from ekfslam.geometry import Array
 from ekfslam.registry import Progress
+
+# Matrices of the whole map that are held at a time, as measured: by gtsam at a step, and with the
+# joint covariance at the end.
+SQUARES, SQUARES_JOINT = 7, 9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +37,10 @@ class GtsamFixedLag(Stepwise):
 
     Landmarks stay in the window however long they have not been seen: they are what closes loops,
     and a landmark that was let go could not come back under its identity. The price is that all
-    that are in the map hang together, as in a filter. Sightings that do not determine a landmark by
-    themselves wait no longer than their poses are known.
+    that are in the map hang together, as in a filter; but what a filter corrects, gtsam eliminates
+    anew at every step, as one dense block: time grows with the cube of their number, memory with
+    its square. Sightings that do not determine a landmark by themselves wait no longer than their
+    poses are known.
 
     There is the online series and no smoothed one: a pose that leaves the window has been
     corrected by what was seen up to `lag` steps later, which is neither. Nor is there an error of
@@ -43,9 +51,12 @@ class GtsamFixedLag(Stepwise):
     ----------
     lag : int
         How many steps back poses are known.
+    max_landmarks : int
+        Of the graph. More are refused: a step with 1000 takes seconds.
     """
 
     lag: int = 50
+    max_landmarks: int = 1000
     name = "gtsam-fixed-lag"
 
     def _run(
@@ -55,6 +66,7 @@ class GtsamFixedLag(Stepwise):
         started: float,
         progress: Progress | None,
     ) -> Estimate:
+        self._check_size(len(problem.landmarks_of(problem.rows)))
         parameters = parameters_of(self, problem)
         parameters.findUnusedFactorSlots = True
         smoother = gtsam.IncrementalFixedLagSmoother(float(self.lag), parameters)
@@ -92,6 +104,20 @@ class GtsamFixedLag(Stepwise):
             message="; ".join(
                 [*problem.notes, *entry.notes(problem, run.entry), *_notes(run.lost, self.lag)]
             ),
+        )
+
+    def _check_size(self, landmarks: int) -> None:
+        """Refuse what takes too long, or does not fit."""
+        if landmarks > self.max_landmarks:
+            raise UnsupportedError(
+                f"{landmarks} landmarks are more than max_landmarks={self.max_landmarks}: gtsam "
+                "eliminates all of them densely at every step; take gtsam-isam2, or raise it"
+            )
+        squares = SQUARES_JOINT if self.marginals else SQUARES
+        check_fits(
+            squares * 8 * (2 * landmarks) ** 2,
+            f"a window with {landmarks} landmarks",
+            "take gtsam-isam2",
         )
 
 
@@ -143,11 +169,14 @@ def _joint(isam: gtsam.ISAM2, problem: LandmarkGraph, final: Array, ids: np.ndar
     first = size * len(ids)
     kept = size * np.arange(len(ids))[:, None] + np.arange(2)
     order = np.concatenate([np.arange(first, first + 3 * len(final)), kept.ravel()])
-    turn = np.eye(len(order))
-    for robot, block in enumerate(geo.heading_block(final[:, 2])):
+    joint = whole[np.ix_(order, order)]
+    for robot, turn in enumerate(geo.heading_block(final[:, 2])):
         at = slice(3 * robot, 3 * robot + 3)
-        turn[at, at] = block
-    return geo.congruence(turn, whole[np.ix_(order, order)])
+        own = geo.congruence(turn, joint[at, at])
+        joint[at] = turn @ joint[at]
+        joint[at, at] = own
+        joint[:, at] = joint[at].T
+    return joint
 
 
 def _notes(lost: Sequence[int], lag: int) -> list[str]:

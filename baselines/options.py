@@ -17,6 +17,7 @@ COUNTS = {
     "final_updates": 0,
     "marginal_every": 1,
     "lag": 1,
+    "max_landmarks": 1,
 }
 AMOUNTS = "relative_tolerance", "relinearize_threshold", "odometry_floor"
 MOST = 2**31 - 1  # gtsam counts in 32 bits
