@@ -1,9 +1,9 @@
 """Speed as ratios, measured side by side in one run: `make bench`.
 
 ``python benchmarks/run.py map-size start-up`` measures some parts, without names all. The rows of a
-part are renewed in ``results/bench/speed.csv`` and printed with the machine and versions; the part
-map-size has a table and a figure of its own beside it. Times are medians over repeats; compilation
-is timed apart and counts in nothing else.
+part are renewed in ``results/bench/speed.csv`` and on the pages that show them, and printed with
+the machine and versions; the part map-size has a table and a figure of its own beside it. Times are
+medians over repeats; compilation is timed apart and counts in nothing else.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import machine  # isort: skip  before NumPy
+import page
 import pandas as pd
 from association import association
 from campaigns import campaigns
@@ -26,7 +27,8 @@ from ratios import COLUMNS, renewed
 from start_up import start_up
 from victoria_park import victoria_park
 
-OUT = Path(__file__).parents[1] / "results" / "bench"
+ROOT = Path(__file__).parents[1]
+OUT = ROOT / "results" / "bench"
 
 PARTS: dict[str, Callable[[], list[list[Any]]]] = {
     "victoria-park": victoria_park,
@@ -58,6 +60,7 @@ def main() -> None:
         print(rows.drop(columns="part").to_string(index=False, float_format=lambda x: f"{x:.3g}"))
         table = pd.read_csv(path, dtype={"holds": object}) if path.exists() else rows[:0]
         renewed(table, part, rows).to_csv(path, index=False, float_format="%.4g")
+    page.renew(ROOT)
     print(f"written to {path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path}")
 
 
