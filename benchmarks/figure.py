@@ -6,9 +6,16 @@ from typing import Any
 
 import pandas as pd
 
-from ekfslam.plots.style import PAGE, Picture, drawing, looks
+from ekfslam.plots.style import PAGE, QUIET, Look, Picture, drawing, looks
 
 LIMIT = "limit of the update"
+OTHERS = {  # who is no estimator of the registry
+    "textbook, sequential": Look(QUIET, "d", ":"),
+    "textbook, joint": Look(QUIET, "p", "-"),
+    "textbook, dense": Look(QUIET, "H", "--"),
+    "roboticstoolbox": Look("#CC6677", ">", "-"),
+    "filterpy": Look("#117733", "<", "--"),
+}
 FAMILY = ("ekf", "iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
 
 
@@ -29,9 +36,9 @@ def draw(table: pd.DataFrame) -> Picture:
         ("the family", ring[family], "us_per_observation"),
         ("a step that sees nothing", ring[others], "us_per_prediction"),
     ]
-    shown = looks(name for name in table.estimator if name != LIMIT)
+    shown = OTHERS | looks(name for name in table.estimator if name not in {LIMIT, *OTHERS})
     with drawing(PAGE, 5.6) as figure:
-        axes = figure.subplots(2, 2, sharex=True).ravel()
+        axes = figure.subplots(2, 2).ravel()
         for letter, ax, (title, rows, column) in zip("abcd", axes, panels, strict=True):
             _panel(ax, rows, column, shown)
             ax.set_title(f"({letter}) {title}")
