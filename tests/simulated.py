@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from ekfslam.dataset import Dataset, LandmarkMap
 from ekfslam.models.motion import MotionModel
-from ekfslam.simulation import RobotPlan, Scenario, SensorPlan
+from ekfslam.simulation import RobotPlan, Scenario, SensorPlan, simulate
+
+
+@cache
+def drawn(name: str) -> Dataset:
+    """A run of a named scenario, the same in all tests."""
+    return simulate(name, seed=1)
 
 
 def exact_values(dataset: Dataset) -> np.ndarray:

@@ -17,7 +17,14 @@ FOLDERS = ("ekfslam", "baselines", "tests", "benchmarks")
 # Each room may import itself and rooms on lower floors. A room is a module with all below it.
 FLOORS: dict[int, tuple[tuple[str, ...], ...]] = {
     0: (
-        ("ekfslam.errors", "ekfslam.checks", "ekfslam.storage", "ekfslam.mat5", "ekfslam.compiled"),
+        (
+            "ekfslam.errors",
+            "ekfslam.checks",
+            "ekfslam.storage",
+            "ekfslam.mat5",
+            "ekfslam.compiled",
+            "ekfslam.blas",
+        ),
     ),
     1: (("ekfslam.geometry",), ("ekfslam.association",)),
     2: (("ekfslam.models",),),

@@ -245,7 +245,8 @@ def test_step_by_step_gives_the_same_bits(name, association, update):
 def test_growing_storage_changes_no_bit(association, monkeypatch):
     dataset = drawn("cloister")
     roomy = Ekf(association).estimate(dataset)
-    monkeypatch.setattr(engine, "GaussianMap", lambda priors, landmarks, late: GaussianMap(priors, 1, late))
+    tiny = lambda priors, landmarks, late: GaussianMap(priors, 1, late)  # noqa: E731
+    monkeypatch.setattr(engine, "GaussianMap", tiny)
     assert_same_estimate(Ekf(association).estimate(dataset), roomy)
     _, poses, covariances, _ = online(dataset, association=association)
     np.testing.assert_array_equal(poses[0], roomy.online.poses)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from ekfslam.filters.local_map import (
 )
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.filters.options import KNOWN, MOST
+from ekfslam.geometry import Array
 
 CELL = 10.0  # of the grid of landmarks [m]
 NEVER = int(np.iinfo(np.int64).max)
@@ -72,12 +73,12 @@ class CompressedEngine(Engine):
         slam.covariance[poses : 2 * poses, poses : 2 * poses] = 0.0
         slam.size[0] = 2 * poses
         self.register.offsets[:] = -1
-        self.area.count[0] = 0
+        self.area.carrying[0] = 0
         carry(self.area, poses, 0, poses)
 
     def come_home(self) -> None:
         """Bring the whole map up to date, and begin a new area."""
-        whole, area, count = self.whole, self.area, int(self.area.count[0])
+        whole, area, count = self.whole, self.area, int(self.area.carrying[0])
         carried, origin = area.carried[:count], area.origin[:count]
         mean, local = self.slam.mean, self.slam.covariance
         n, here, there = whole.size, *self._places()
@@ -137,6 +138,13 @@ class CompressedEngine(Engine):
         for move in (read_rows, write_rows):
             prepare(move, slam.covariance, 0, which, rows)
         prepare(reduce_rest, slam.covariance, 0, rows)
+        if self.settings.method == KNOWN:
+            prepare(beyond, sightings, 0, 0, register, self.area)
+            return
+        prepare(build, rows, 0, 0.0)
+        survey, three = Survey(build(rows, 0, CELL), which, 0.0), np.zeros(POSE)
+        prepare(within_reach, survey, 0.0, *self._local, 0, three, three, 0.0)
+        prepare(spread, np.int64(0), three[:2], np.eye(2))
 
     @property
     def _local(self) -> tuple[Any, ...]:
@@ -152,28 +160,29 @@ class CompressedEngine(Engine):
         sightings: Sightings,
         log: Log,
     ) -> tuple[int, int]:
-        why = LEAVE
+        (deltas, Qs), why = moves, LEAVE
         while why == LEAVE:
             local = *self._local, self.settings, log, self.other
-            start, why = run_locally(start, stop, *moves, offsets, sightings, *local)
+            start, why = run_locally(start, stop, deltas, Qs, offsets, sightings, *local)
             if why == LEAVE:
                 self.come_home()
         return start, why
 
     def _approach(self, sightings: Sightings, first: int, last: int) -> None:
-        missing = self._missing(sightings, first, last)
-        size = self.slam.size + EACH * len(missing) + POINT * (last - first)
-        if len(missing) and size > self.area.full and self.slam.size > 2 * self._poses:
+        missing, new = self._missing(sightings, first, last)
+        size = self.slam.size + EACH * len(missing) + POINT * new
+        full = size > self.area.full and len(missing) + new > 0
+        if full and self.slam.size > 2 * self._poses:  # as in `run_locally`
             self.come_home()
-            missing = self._missing(sightings, first, last)
+            missing, new = self._missing(sightings, first, last)
         self.make_room(len(missing) + last - first)
         for index in missing:
             bring_in(index, *self._local)
 
-    def _missing(self, sightings: Sightings, first: int, last: int) -> np.ndarray:
-        """Register indices of landmarks beyond the area that a look shows, or may show."""
+    def _missing(self, sightings: Sightings, first: int, last: int) -> tuple[np.ndarray, int]:
+        """Landmarks beyond the area that a look shows, or may; and how many are new, or may be."""
         if self.settings.method == KNOWN:
-            return beyond(sightings, first, last, self.register, self.area)[0]
+            return beyond(sightings, first, last, self.register, self.area)
         limits, mount = sightings.limits[first], sightings.mount[first]
         survey = self._survey
         if survey is None or survey.spread * np.sqrt(self._moved) > 0.5 * limits[1]:
@@ -184,12 +193,12 @@ class CompressedEngine(Engine):
              for i in range(first, last)),
             default=0.0,
         )  # fmt: skip
-        robot = int(sightings.robot[first])
-        return within_reach(survey, self._moved, *self._local, robot, mount, limits, noise)
+        local = *self._local, int(sightings.robot[first]), mount, limits, noise
+        return within_reach(survey, self._moved, *local), last - first
 
     def _look_round(self) -> Survey:
         """Where all landmarks of the whole map are now."""
-        whole, area, count = self.whole, self.area, int(self.area.count[0])
+        whole, area, count = self.whole, self.area, int(self.area.carrying[0])
         which = np.flatnonzero(area.home >= 0)
         mean, at = whole.mean.copy(), area.home[which]
         if self.slam.size > 2 * self._poses:
@@ -213,6 +222,13 @@ class CompressedEngine(Engine):
     def _map(self) -> tuple[GaussianMap, np.ndarray]:
         self.come_home()
         return self.whole, self.area.home
+
+    def landmark(self, index: int) -> tuple[Array, Array]:
+        """As of `Engine`: it is brought into the area."""
+        if self.register.offsets[index] < 0:
+            self.make_room(1)
+            bring_in(index, *self._local)
+        return super().landmark(index)
 
     def knows(self, index: int) -> bool:
         """As of `Engine`."""
@@ -251,8 +267,8 @@ class EkfCompressed(Ekf):
 
     area: int = 100
     name = "ekf-compressed"
-    engine = CompressedEngine
-    of_points = True
+    engine: ClassVar[type[Engine]] = CompressedEngine
+    points_only = True
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -34,7 +35,7 @@ class Ekf(Options):
     """The EKF-SLAM estimator; its options are those of `ekfslam.filters.options.Options`."""
 
     name = "ekf"
-    engine = Engine  # no option, as `variant`
+    engine: ClassVar[type[Engine]] = Engine
 
     def estimate(self, dataset: Dataset, progress: Progress | None = None) -> Estimate:
         """Run the filter over a dataset.

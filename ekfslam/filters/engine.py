@@ -261,9 +261,9 @@ class Engine:
         log: Log,
     ) -> tuple[int, int]:
         """What the compiled loop does by itself; returns as it does."""
-        slam, register = self.slam.arrays, self.register
-        arguments = offsets, sightings, slam, register, self.settings, log, self.other
-        return run(start, stop, *moves, *arguments)
+        (deltas, Qs), slam, register = moves, self.slam.arrays, self.register
+        arguments = sightings, slam, register, self.settings, log
+        return run(start, stop, deltas, Qs, offsets, *arguments, self.other)
 
     def predict(self, step: int, deltas: Array, Qs: Array, unseen: Sightings) -> None:
         """Move the robots, (R, 3) and (R, 3, 3); what they will see is not known (no rows)."""
@@ -407,6 +407,21 @@ class Engine:
             mean[beyond] if len(directions) else None,
         ), joint
 
+    def landmark(self, index: int) -> tuple[Array, Array]:
+        """Position (2,) and covariance (2, 2) of a point in the map, by its register index."""
+        if self.settings.variant in OF_THEIR_OWN:
+            names = np.arange(int(self.register.used[0]))
+            landmarks, _ = self.landmarks(names)
+            row = int(np.flatnonzero(landmarks.ids == index)[0])
+            assert landmarks.covariances is not None
+            return landmarks.positions[row], landmarks.covariances[row]
+        at = int(self.register.offsets[index])
+        return self.slam.mean[at : at + POINT].copy(), self.slam.block(at, POINT)
+
+    def is_point(self, index: int) -> bool:
+        """Whether a landmark that the map knows is a point yet."""
+        return bool(self.register.sizes[index] == POINT)
+
     def knows(self, index: int) -> bool:
         """Whether a landmark stands in the map, by its register index."""
         return bool(self.register.offsets[index] >= 0)
@@ -461,8 +476,9 @@ def check_views(options: Options, association: str, sightings: Sightings) -> Non
         Says what to do.
     """
     kinds = views_of_landmarks(sightings)
-    if options.variant != EKF and kinds & {BEARING, RANGE}:
-        raise UnsupportedError(f"{NAMES[options.variant]} needs sensors that determine a point")
+    if (options.variant != EKF or options.points_only) and kinds & {BEARING, RANGE}:
+        name = getattr(options, "name", NAMES[options.variant])
+        raise UnsupportedError(f"{name} needs sensors that determine a point")
     bearings = (sightings.kind == BEARING) & (sightings.target < 0)
     nearest = sightings.limits[bearings, 0].min(initial=np.inf)
     partial = kinds & {BEARING, RANGE}

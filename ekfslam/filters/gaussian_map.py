@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ekfslam.blas import one_thread
+from ekfslam.checks import check_fits
 from ekfslam.dataset import Prior
 from ekfslam.errors import EkfslamError, InputError
 from ekfslam.filters import kernels
@@ -15,9 +16,33 @@ from ekfslam.filters.delayed import bring_up_to_date
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.geometry import Array
 
+ASK_FROM = 5000  # coordinates from which memory is asked for first
+
+
+def check_covariance_fits(size: int) -> None:
+    """Refuse a covariance that memory cannot hold.
+
+    Parameters
+    ----------
+    size : int
+        Coordinates.
+
+    Raises
+    ------
+    UnsupportedError
+        With the size that it needs.
+    """
+    if size >= ASK_FROM:
+        what = f"the covariance of {size // POINT} landmarks"
+        check_fits(8 * size**2, what, "take fewer landmarks, or a machine with more memory")
+
 
 class GaussianMap:
     """Mean and covariance in preallocated storage that doubles when it is full.
+
+    What is allocated and not yet used takes no memory on the usual systems: the storage of a map
+    whose landmarks are known ahead is what it holds, and that of one that grows has half of that
+    again for a moment, while it is copied.
 
     Only the upper triangle of the covariance is stored and updated, so it is symmetric by
     construction. The four operations are those of Solà's Table 1, in sparse form.
@@ -36,6 +61,7 @@ class GaussianMap:
         priors = [priors] if isinstance(priors, Prior) else list(priors)
         self.robots = len(priors)
         capacity = POSE * self.robots + POINT * max(landmarks, 1)
+        check_covariance_fits(capacity)
         self.arrays = MapArrays(
             np.zeros(capacity),
             np.zeros((capacity, capacity)),
@@ -63,7 +89,10 @@ class GaussianMap:
     def covariance(self) -> Array:
         """Covariance (size, size), additive; a full symmetric copy."""
         self.settle()
-        return self.block(0, self.size)
+        n = self.size
+        P = self.arrays.covariance[:n, :n].copy()
+        kernels.rearrange(P, n, np.arange(n))
+        return P
 
     def settle(self) -> None:
         """Bring the covariance up to date with corrections that wait."""
@@ -98,6 +127,7 @@ class GaussianMap:
         capacity = len(self.arrays.mean)
         if size <= capacity:
             return
+        check_covariance_fits(size)
         capacity = max(size, 2 * capacity)
         n = self.size
         mean, covariance = np.zeros(capacity), np.zeros((capacity, capacity))

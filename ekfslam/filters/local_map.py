@@ -46,7 +46,7 @@ class Area(NamedTuple):
         Local coordinates c, in the order in which they came.
     origin : (most,) ndarray of int
         Coordinate of the whole map that each is of.
-    count : (1,) ndarray of int
+    carrying : (1,) ndarray of int
         How many there are.
     full : int
         Local coordinates from which on nothing more is brought in.
@@ -55,7 +55,7 @@ class Area(NamedTuple):
     home: np.ndarray
     carried: np.ndarray
     origin: np.ndarray
-    count: np.ndarray
+    carrying: np.ndarray
     full: int
 
 
@@ -194,7 +194,7 @@ def ties(index, whole, area, w, coordinate):  # type: ignore[no-untyped-def]
         0 for x, 1 for y.
     """
     P, at = whole.covariance, area.home[index] + coordinate
-    for j in range(area.count[0]):
+    for j in range(area.carrying[0]):
         origin = area.origin[j]
         w[area.carried[j]] = P[at, origin] if at <= origin else P[origin, at]
 
@@ -226,10 +226,10 @@ def bring_in(index, slam, register, whole, area):  # type: ignore[no-untyped-def
 @compiled
 def carry(area, local, origin, size):  # type: ignore[no-untyped-def]
     """Note coordinates that are carried."""
-    count = area.count[0]
+    count = area.carrying[0]
     for c in range(size):
         area.carried[count + c], area.origin[count + c] = local + c, origin + c
-    area.count[0] = count + size
+    area.carrying[0] = count + size
 
 
 @compiled

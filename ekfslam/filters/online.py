@@ -152,11 +152,37 @@ class EkfSlam:
         InputError
             If there is no such landmark.
         """
-        ids = self._names()
-        index = np.flatnonzero(ids == landmark)
+        self._engine.delete(self._index(landmark))
+
+    def _index(self, landmark: int) -> int:
+        """Register index of a landmark that is in the map."""
+        index = np.flatnonzero(self._names() == landmark)
         if not len(index) or not self._engine.knows(int(index[0])):
             raise InputError(f"there is no landmark {landmark} in the map")
-        self._engine.delete(int(index[0]))
+        return int(index[0])
+
+    def landmark(self, landmark: int) -> tuple[Array, Array]:
+        """One landmark as it is now, at the cost of itself alone; `landmarks` is all of them.
+
+        Parameters
+        ----------
+        landmark : int
+            Its identity, as `landmarks` lists it.
+
+        Returns
+        -------
+        (2,) ndarray, (2, 2) ndarray
+            Position [m] and covariance [m^2], in the world.
+
+        Raises
+        ------
+        InputError
+            If there is no such landmark, or its distance is still open.
+        """
+        index = self._index(landmark)
+        if not self._engine.is_point(index):
+            raise InputError(f"landmark {landmark} is not a point yet: its distance is open")
+        return self._engine.landmark(index)
 
     @property
     def pose(self) -> Array:

@@ -196,6 +196,7 @@ class Options:
     corrupt: int = 0
     delay: int | None = None
     variant = EKF  # of the family, no option: every filter of `ekfslam.filters.family` has its own
+    points_only = False  # whether sensors must determine a point, no option either
 
     def __post_init__(self) -> None:
         choices = (

@@ -1,0 +1,243 @@
+"""The compressed filter against the full one: the same, whenever the whole map is asked for."""
+
+import numpy as np
+import pytest
+from simulated import drawn
+from test_delayed_update import assert_same
+
+import ekfslam
+from ekfslam import geometry as geo
+from ekfslam.errors import InputError, UnsupportedError
+from ekfslam.estimates import Decision
+from ekfslam.filters import local_map
+from ekfslam.filters.compressed import CompressedEngine, EkfCompressed
+from ekfslam.filters.ekf import Ekf
+from ekfslam.filters.online import EkfSlam
+
+EXACT = 1e-8
+AREAS = [1, 5, 20, 100]
+
+
+def city(count=250, **changes):
+    """Streets that a sensor sees a small part of."""
+    scenario = ekfslam.load_scenario("city", {"world.count": count, **changes})
+    return ekfslam.simulate(scenario, seed=2)
+
+
+@pytest.fixture
+def ways_home(monkeypatch):
+    """How often the whole map was brought up to date."""
+    count, come_home = [0], CompressedEngine.come_home
+
+    def counted(self):
+        count[0] += 1
+        come_home(self)
+
+    monkeypatch.setattr(CompressedEngine, "come_home", counted)
+    return count
+
+
+@pytest.mark.parametrize("area", AREAS)
+@pytest.mark.parametrize("scenario", ["loop-15", "park", "team"])
+def test_the_compressed_filter_is_the_full_one(scenario, area):
+    dataset = drawn(scenario)
+    assert_same(EkfCompressed(area=area).estimate(dataset), Ekf().estimate(dataset), EXACT)
+
+
+@pytest.mark.parametrize("area", [10, 100])
+def test_on_victoria_park(area):
+    dataset = ekfslam.load("victoria-park")
+    assert_same(EkfCompressed(area=area).estimate(dataset), Ekf().estimate(dataset), EXACT)
+
+
+def test_on_city_trees(recorded_data):
+    dataset = recorded_data("city-trees/mc0")
+    assert_same(EkfCompressed().estimate(dataset), Ekf().estimate(dataset), EXACT)
+
+
+@pytest.mark.parametrize("association", ["known", "nearest", "joint", "maximum-likelihood"])
+def test_in_a_city_with_and_without_identities(association, ways_home):
+    """Recognition finds the same landmarks on the local map as on the whole."""
+    dataset = city()
+    full = Ekf(association).estimate(dataset)
+    assert_same(EkfCompressed(association, area=40).estimate(dataset), full, EXACT)
+    assert ways_home[0] > 5
+    assert len(full.landmarks) > 200
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"update": "sequential"},
+        {"association": "nearest", "matching": "one-by-one"},
+        {"association": "nearest", "confirm": 2},
+        {"known_gate": 0.95},
+        {"association": "euclidean"},
+    ],
+    ids=str,
+)
+def test_options_mean_what_they_mean(options):
+    dataset = city(120)
+    assert_same(
+        EkfCompressed(**options, area=15).estimate(dataset), Ekf(**options).estimate(dataset), EXACT
+    )
+
+
+def test_a_look_that_is_larger_than_the_area():
+    dataset = drawn("loop-15")
+    assert np.diff(dataset.offsets).max() > 2
+    assert_same(EkfCompressed(area=1).estimate(dataset), Ekf().estimate(dataset), EXACT)
+
+
+def test_an_area_that_holds_all_never_needs_the_way_home(ways_home):
+    EkfCompressed(area=100).estimate(drawn("park"))
+    assert ways_home[0] == 1  # at the end
+
+
+def test_a_revisit_is_no_new_landmark(ways_home):
+    """Three laps of park, areas of ten: every landmark has left its area and come back."""
+    estimate = EkfCompressed(area=10).estimate(drawn("park"))
+    assert ways_home[0] > 20
+    assert len(np.unique(estimate.landmarks.ids)) == len(estimate.landmarks)
+    assert (estimate.innovations.decision == Decision.NEW).sum() == len(estimate.landmarks)
+
+
+def test_without_noise_it_says_the_truth():
+    dataset = ekfslam.simulate("park", seed=1, draw=0.0)
+    estimate = EkfCompressed(area=10).estimate(dataset)
+    truth = dataset.robots[0].truth
+    np.testing.assert_allclose(geo.additive_error(estimate.online.poses, truth), 0.0, atol=1e-9)
+
+
+def test_asked_at_any_step_and_afterwards_it_goes_on():
+    dataset = city(120)
+    compressed = EkfSlam(dataset.prior, estimator="ekf-compressed", area=15)
+    full = EkfSlam(dataset.prior)
+    asked = np.random.default_rng(5).random(dataset.poses) < 0.03
+    for k, step in enumerate(dataset.steps()):
+        for slam in (compressed, full):
+            slam.predict(step.increment, step.covariance)
+            slam.observe(step.observations)
+        np.testing.assert_allclose(compressed.pose, full.pose, atol=EXACT)
+        np.testing.assert_allclose(compressed.pose_covariance, full.pose_covariance, atol=EXACT)
+        if asked[k]:
+            one, other = compressed.landmarks, full.landmarks
+            np.testing.assert_array_equal(one.ids, other.ids)
+            np.testing.assert_allclose(one.positions, other.positions, atol=EXACT)
+            np.testing.assert_allclose(one.covariance, other.covariance, atol=EXACT)
+
+
+def test_one_landmark_beyond_the_area_is_as_in_the_whole_map(ways_home):
+    dataset = city(120)
+    compressed = EkfSlam(dataset.prior, estimator="ekf-compressed", area=15)
+    full = EkfSlam(dataset.prior)
+    for step in list(dataset.steps())[:200]:
+        for slam in (compressed, full):
+            slam.predict(step.increment, step.covariance)
+            slam.observe(step.observations)
+    ids, before = full.landmarks.ids, ways_home[0]
+    beyond = [i for i in ids if compressed._engine.register.offsets[compressed._index(i)] < 0]
+    assert len(beyond) > 20
+    for landmark in beyond[:10]:
+        for a, b in zip(compressed.landmark(landmark), full.landmark(landmark), strict=True):
+            np.testing.assert_allclose(a, b, atol=EXACT)
+    assert ways_home[0] == before
+    np.testing.assert_allclose(
+        compressed.landmarks.covariance, full.landmarks.covariance, atol=1e-8
+    )
+
+
+def test_deletion_wherever_a_landmark_stands():
+    dataset = city(120)
+    compressed = EkfSlam(dataset.prior, estimator="ekf-compressed", area=15)
+    full = EkfSlam(dataset.prior)
+    for k, step in enumerate(list(dataset.steps())[:150]):
+        for slam in (compressed, full):
+            slam.predict(step.increment, step.covariance)
+            slam.observe(step.observations)
+        if k in (60, 90, 120):
+            gone = [int(full._names()[0]), int(full._names()[-1])]  # far away, and in sight
+            for slam in (compressed, full):
+                for landmark in gone:
+                    if landmark in slam.landmarks.ids:
+                        slam.delete(landmark)
+    np.testing.assert_array_equal(compressed.landmarks.ids, full.landmarks.ids)
+    np.testing.assert_allclose(
+        compressed.landmarks.covariance, full.landmarks.covariance, atol=EXACT
+    )
+    with pytest.raises(InputError, match="no landmark 999"):
+        compressed.landmark(999)
+
+
+def test_it_tells_what_it_linearised():
+    """So that the linear oracle can check it."""
+    dataset = drawn("loop-15")
+    _, ours = EkfCompressed(area=3).linearizations(dataset)
+    _, full = Ekf().linearizations(dataset)
+    np.testing.assert_array_equal(ours.landmark, full.landmark)
+    np.testing.assert_allclose(ours.jacobian, full.jacobian, atol=EXACT)
+    np.testing.assert_allclose(ours.point, full.point, atol=EXACT)
+
+
+# Parts -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rank", [0, 1, 4, 9])
+def test_a_square_root_of_any_rank(rank, rng):
+    scale = 10.0 ** rng.uniform(-4, 4, 9)  # radians and metres
+    half = scale[:, None] * rng.normal(size=(9, rank))
+    half[3] = 0.0  # nothing was seen of it
+    psi = half @ half.T
+    root = local_map.square_root(psi)
+    assert root.shape == (9, min(rank, 8))
+    unit = np.outer(scale, scale)
+    np.testing.assert_allclose(root @ root.T / unit, psi / unit, atol=1e-12)
+
+
+def test_rows_of_a_triangle_and_back(rng):
+    P = rng.normal(size=(12, 12))
+    P = P + P.T
+    triangle = np.where(np.tri(12, k=-1) > 0, np.nan, P)
+    which = np.array([7, 0, 11, 4])
+    rows = np.empty((4, 12))
+    local_map.read_rows(triangle, 12, which, rows)
+    np.testing.assert_array_equal(rows, P[which])
+    other = rng.normal(size=(12, 12))
+    other = other + other.T
+    local_map.write_rows(triangle, 12, which, other[which])
+    expected = P.copy()
+    expected[which], expected[:, which] = other[which], other[:, which]
+    np.testing.assert_array_equal(np.triu(triangle), np.triu(expected))
+
+
+def test_two_rows_times_a_symmetric_matrix(rng):
+    P = rng.normal(size=(9, 9))
+    P = P + P.T
+    w, rows = rng.normal(size=(2, 9)), np.zeros((2, 9))
+    local_map.times_symmetric(np.where(np.tri(9, k=-1) > 0, np.nan, P), 9, w, rows)
+    np.testing.assert_allclose(rows, w @ P, rtol=1e-13)
+
+
+# What cannot be used -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("area", [0, -3, 2.5, True, "all"])
+def test_an_area_that_makes_no_sense(area):
+    with pytest.raises(InputError, match="area"):
+        EkfCompressed(area=area)
+
+
+@pytest.mark.parametrize("option", [{"forget": 5}, {"corrupt": 2, "known_gate": 0.9}, {"delay": 5}])
+def test_options_that_the_local_map_does_not_know(option):
+    with pytest.raises(InputError, match=f"no option {next(iter(option))}"):
+        EkfCompressed(**option)
+
+
+@pytest.mark.parametrize("scenario", ["cloister-bearing", "cloister-range"])
+def test_partial_views_are_refused(scenario):
+    with pytest.raises(UnsupportedError, match="ekf-compressed needs sensors that determine"):
+        EkfCompressed().estimate(drawn(scenario))
+    dataset = drawn(scenario)
+    slam = EkfSlam(dataset.prior, estimator="ekf-compressed")
+    with pytest.raises(UnsupportedError, match="ekf-compressed needs sensors that determine"):
+        slam.observe(dataset.sightings.rows(0, 1))
