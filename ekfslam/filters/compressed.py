@@ -9,7 +9,7 @@ import numpy as np
 
 from ekfslam.association.index import build
 from ekfslam.blas import one_thread
-from ekfslam.compiled import prepare
+from ekfslam.compiled import now, prepare
 from ekfslam.dataset import Sightings
 from ekfslam.errors import InputError
 from ekfslam.filters.arrays import Journal, Log
@@ -163,9 +163,15 @@ class CompressedEngine(Engine):
         (deltas, Qs), why = moves, LEAVE
         while why == LEAVE:
             local = *self._local, self.settings, log, self.other
+            first = start
             start, why = run_locally(start, stop, deltas, Qs, offsets, sightings, *local)
+            if start > first:
+                log.seconds[first] += self._owed
+                self._owed = 0.0
             if why == LEAVE:
+                begin = now()
                 self.come_home()
+                self._owed += now() - begin
         return start, why
 
     def _approach(self, sightings: Sightings, first: int, last: int) -> None:

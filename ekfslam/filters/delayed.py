@@ -78,8 +78,16 @@ def keep(slam, m, poses):  # type: ignore[no-untyped-def]
             factor = tail[0]
             for j in range(row.size):
                 row[j] -= factor * tail[j]
-    late[first : first + m, :poses] = 0.0
+    clear(late, first, first + m, 0, poses)
     slam.held[0] = first + m
+
+
+@compiled
+def clear(late, first, last, begin, end):  # type: ignore[no-untyped-def]
+    """Rows from `first` to before `last` are zero in the columns from `begin` to before `end`."""
+    for k in range(first, last):
+        for j in range(begin, end):
+            late[k, j] = 0.0
 
 
 @compiled

@@ -114,6 +114,7 @@ class Engine:
         self.bank = Bank.of(room if banked else 0, options.hypotheses)
         self._clock = np.array([-1], dtype=np.int64)
         self.searches_cut = 0  # for joint compatibility, at their limit
+        self._owed = 0.0  # seconds that count for a step and were spent before it
         if options.initiation == "allocated":
             self._allocate(landmarks, options.variance)
 
@@ -245,7 +246,8 @@ class Engine:
                 if (variant := self.settings.variant) in OF_THEIR_OWN:
                     place = log.poses[0, start], log.covariances[0, start]
                     settle_pose(variant, self.slam.arrays, *place)
-                log.seconds[start] = now() - begin
+                log.seconds[start] = now() - begin + self._owed
+                self._owed = 0.0
                 start += 1
             else:
                 break

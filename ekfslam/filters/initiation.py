@@ -13,6 +13,7 @@ import numpy as np
 
 from ekfslam.compiled import compiled, inlined
 from ekfslam.estimates import Decision, Linearizations
+from ekfslam.filters.delayed import clear
 from ekfslam.filters.journal import record
 from ekfslam.filters.kernels import append, correct, project, times_transposed
 from ekfslam.filters.measure import (
@@ -63,7 +64,7 @@ def enter(slam, register, index, robot, target, size, G, noise):  # type: ignore
     """Append a landmark seen from the present pose of a robot."""
     n, poses = slam.size[0], np.array([POSE * robot])
     append(slam.mean, slam.covariance, n, poses, target, size, G, noise)
-    slam.late[: slam.held[0], n : n + size] = 0.0  # its rows come from the poses', which are exact
+    clear(slam.late, 0, slam.held[0], n, n + size)  # its rows come from the poses', which are exact
     slam.size[0] = n + size
     register.offsets[index], register.sizes[index] = n, size
     register.sightings[index] = 1
