@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,10 @@ import numpy as np
 
 from ekfslam.errors import InputError
 from ekfslam.geometry import Array
-from ekfslam.storage import Reader, Writer
+from ekfslam.storage import LARGE, Reader, Writer
 
 FORMAT = "ekfslam-estimate"
-VERSION = 1
+VERSION = 2  # of files that hold a shared block once; all others are of version 1
 
 OK, DIVERGED, FAILED, SKIPPED = STATUSES = ("ok", "diverged", "failed", "skipped")
 
@@ -277,14 +277,23 @@ class Estimate:
         return self.smoothed if self.smoothed is not None else self.online
 
     def save(self, path: str | Path) -> None:
-        """Write to one file without loss; the file appears whole or not at all."""
-        writer = Writer(FORMAT, VERSION)
+        """Write to one file without loss; the file appears whole or not at all.
+
+        A joint covariance is written as it is, 8 n^2 bytes. The covariance of a large map that is
+        the block of it, and no copy, is not written again, and is that block when it is loaded.
+        """
+        shared = self._map_in_joint()
+        writer = Writer(FORMAT, VERSION if shared else 1)
         parts = ("online", "smoothed", "landmarks", "innovations")
+        if shared:
+            writer.header["map_in_joint"] = True
         writer.header["parts"] = [name for name in parts if getattr(self, name) is not None]
         for entry in fields(self):
             value = getattr(self, entry.name)
             if entry.name in writer.header["parts"]:
                 for inner in fields(value):
+                    if shared and (entry.name, inner.name) == ("landmarks", "covariance"):
+                        continue
                     writer.put(f"{entry.name}.{inner.name}", getattr(value, inner.name))
             elif isinstance(value, np.ndarray):
                 writer.put(entry.name, value)
@@ -325,4 +334,27 @@ class Estimate:
                     values[entry.name] = reader.header[entry.name]
                 elif (array := reader.get(entry.name)) is not None:
                     values[entry.name] = array
-            return cls(**values)
+            estimate = cls(**values)
+            if estimate.landmarks is None or not reader.header.get("map_in_joint"):
+                return estimate
+            mapped = replace(estimate.landmarks, covariance=estimate._map_block())
+            return replace(estimate, landmarks=mapped)
+
+    def _map_block(self) -> Array:
+        """The rows and columns of the joint covariance that are the points of the map."""
+        landmarks, joint = self.landmarks, self.joint_covariance
+        assert landmarks is not None
+        assert joint is not None
+        opened = 0 if landmarks.inverse_depth is None else landmarks.inverse_depth.size
+        end = len(joint) - opened
+        start = end - landmarks.positions.size
+        return joint[start:end, start:end]
+
+    def _map_in_joint(self) -> bool:
+        """Whether the covariance of the map is large and a view into the joint one."""
+        if self.landmarks is None or self.joint_covariance is None:
+            return False
+        block = self.landmarks.covariance
+        if block is None or block.nbytes < LARGE:
+            return False
+        return block.__array_interface__ == self._map_block().__array_interface__

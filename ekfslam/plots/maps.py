@@ -23,6 +23,7 @@ from ekfslam.plots.rows import (
     typical,
 )
 from ekfslam.plots.style import PAGE, TRUTH, drawing, legend_columns
+from ekfslam.plots.thinning import MOST_ELLIPSES, largest, many
 
 SIGMAS = 3.0
 _ROOM = 1.25  # an estimate is in full view if it makes the map larger by no more than this
@@ -34,6 +35,7 @@ class _Content(NamedTuple):
     series: Series
     paths: list[Array]  # one per robot
     landmarks: Array
+    crowded: bool  # more landmarks than ellipses are shown
     means: Array  # of the ellipses: the landmarks and the last poses, where there is a covariance
     covariances: Array
 
@@ -45,7 +47,8 @@ def plot_map(
 
     Each estimator is shown with the series that knows most, smoothed before online, and with the
     paths of all robots. The ellipses (98.9 % of a 2-D Gaussian) are those of the landmarks and of
-    the last pose of each robot. A path breaks where it is not known, and a position that is known
+    the last pose of each robot; of more than a thousand landmarks the largest thousand, which the
+    title says, and smaller marks. A path breaks where it is not known, and a position that is known
     by itself is a dot. The frame holds the truth, or without one what most estimators agree on, and
     every path that is not much larger; the legend says which paths leave it.
 
@@ -82,9 +85,17 @@ def plot_map(
         _draw_truth(axes, true_paths, true_map)
         ends = [(path, c.series.look.color) for c in contents for path in c.paths]
         _draw_ends(axes, ends + [(path, TRUTH) for path in true_paths])
-        figure.suptitle(f"{title}: map with 3σ ellipses" if contents else "no estimate to show")
+        figure.suptitle(_heading(title, contents))
         figure.legend(loc="outside lower center", ncols=columns)
     return figure
+
+
+def _heading(title: str, contents: list[_Content]) -> str:
+    if not contents:
+        return "no estimate to show"
+    crowded = any(content.crowded for content in contents)
+    which = f" (the {MOST_ELLIPSES} largest of an estimator)" if crowded else ""
+    return f"{title}: map with 3σ ellipses{which}"
 
 
 # What there is to show --------------------------------------------------------------------------
@@ -115,16 +126,22 @@ def _content(series: Series, landmarks: pd.DataFrame) -> _Content:
     columns = ("x_m", "y_m", "cov_xx", "cov_xy", "cov_yy")
     points = numbers(landmarks[own], *columns)
     last = [numbers(rows, *columns)[-1:] for rows in series.robots]
-    gaussians = _finite(np.concatenate([points, *last]))
-    covariances = gaussians[:, [2, 3, 3, 4]].reshape(-1, 2, 2)
+    shown = points[largest(_covariances(points))]
+    gaussians = _finite(np.concatenate([shown, *last]))
+    covariances = _covariances(gaussians)
     valid = _is_covariance(covariances)
     return _Content(
         series,
         _paths(series, "x_m", "y_m"),
         _finite(points[:, :2]),
+        len(points) > len(shown),
         gaussians[valid, :2],
         covariances[valid],
     )
+
+
+def _covariances(gaussians: Array) -> Array:
+    return gaussians[:, [2, 3, 3, 4]].reshape(-1, 2, 2)
 
 
 def _is_covariance(matrices: Array) -> np.ndarray:
@@ -176,9 +193,9 @@ def _draw(axes: Axes, content: _Content, frame: tuple[Array, Array]) -> None:
         color=color,
         marker=marker,
         linestyle="none",
-        markersize=3,
+        markersize=1.5 if content.crowded else 3,
         markerfacecolor="none",
-        markeredgewidth=0.7,
+        markeredgewidth=0.3 if content.crowded else 0.7,
         zorder=4,
     )
     contours = geo.ellipse(content.means, content.covariances, SIGMAS)
@@ -194,7 +211,8 @@ def _draw_paths(axes: Axes, paths: list[Array], label: str, **appearance: Any) -
     """The paths of all robots under one name in the legend."""
     dots = appearance | {"linestyle": "none", "marker": ".", "markersize": 2}
     for index, path in enumerate(paths):
-        axes.plot(*path.T, label="" if index else label, **appearance)
+        label = "" if index else label
+        axes.plot(*path.T, label=label, rasterized=many(len(path)), **appearance)
         alone = isolated(path)
         if alone.any():
             axes.plot(*path[alone].T, **dots)
@@ -208,8 +226,8 @@ def _draw_truth(axes: Axes, paths: list[Array], landmarks: Array) -> None:
             color=TRUTH,
             marker="+",
             linestyle="none",
-            markersize=5,
-            markeredgewidth=0.7,
+            markersize=2.5 if len(landmarks) > MOST_ELLIPSES else 5,
+            markeredgewidth=0.3 if len(landmarks) > MOST_ELLIPSES else 0.7,
             label="true landmark",
             zorder=5,
         )

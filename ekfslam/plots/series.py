@@ -25,6 +25,7 @@ from ekfslam.plots.rows import (
     typical,
 )
 from ekfslam.plots.style import COLUMN, PAGE, QUIET, TRUTH, drawing, legend_columns
+from ekfslam.plots.thinning import many, seen
 
 SIGMAS = 3.0
 PROBABILITY = 0.95
@@ -174,6 +175,7 @@ def plot_times(trajectories: pd.DataFrame) -> Figure:
                 linestyle="none",
                 markersize=1.5,
                 markeredgewidth=0.0,
+                rasterized=many(len(times)),
                 label=f"{name}: median {np.nanmedian(times):.3g} µs",
             )
         _finish(figure, title, [axes])
@@ -237,9 +239,11 @@ def _draw_error(panel: Axes, curve: _Curve, row: int, limit: float) -> None:
     # Cut a little outside of the frame: a vector file would carry numbers of any size along.
     error = np.clip(curve.error[:, row], -9 * limit, 9 * limit)
     band = np.clip(SIGMAS * curve.sigma[:, row], 0.0, 9 * limit)
-    panel.fill_between(curve.time, -band, band, color=color, alpha=0.25, linewidth=0.0)
+    shown = seen(error, band)
+    time, error, band = curve.time[shown], error[shown], band[shown]
+    panel.fill_between(time, -band, band, color=color, alpha=0.25, linewidth=0.0)
     panel.axhline(0.0, color=QUIET, linewidth=0.5)
-    _draw_line(panel, curve.time, error, color=color)
+    _draw_line(panel, time, error, color=color)
 
 
 def _say(panel: Axes, words: str) -> None:
@@ -317,14 +321,12 @@ def _draw_nis(panel: Axes, series: Series) -> None:
     time, nis, dof = _nis_per_dof(series)
     low, high = chi2_interval(dof, PROBABILITY)
     color, marker, _ = series.look
-    panel.plot(
-        time, nis, color=color, marker=marker, linestyle="none", markersize=2, markeredgewidth=0
-    )
+    dots: dict[str, Any] = {"linestyle": "none", "rasterized": many(len(time))}
+    panel.plot(time, nis, color=color, marker=marker, markersize=2, markeredgewidth=0, **dots)
+    # Dashes and no line: it would jump up and down with the number of landmarks in view.
+    dots |= {"color": TRUTH, "marker": "_", "markersize": 3, "markeredgewidth": 0.6}
     for bound in (low / dof, high / dof):
-        # Dashes and no line: it would jump up and down with the number of landmarks in view.
-        panel.plot(
-            time, bound, "_", color=TRUTH, markersize=3, markeredgewidth=0.6, label=_INTERVAL
-        )
+        panel.plot(time, bound, label=_INTERVAL, **dots)
     panel.set(title=f"NIS per degree of freedom, {series.label}", ylabel="NIS / dof")
     _scale(panel, nis, float((low / dof).min()), float((high / dof).max()))
 
@@ -353,7 +355,8 @@ def _scale(panel: Axes, values: Array, low: float, high: float) -> None:
 def _draw_lines(panel: Axes, curves: Iterable[tuple[Series, Array]]) -> None:
     for series, values in curves:
         color, _, linestyle = series.look
-        time = numbers(series.rows, "time_s")
+        shown = seen(values)
+        time, values = numbers(series.rows, "time_s")[shown], values[shown]
         _draw_line(panel, time, values, color=color, linestyle=linestyle, label=series.estimator)
 
 

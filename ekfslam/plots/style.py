@@ -181,6 +181,8 @@ def drawing(width: float, height: float) -> Iterator[Picture]:
 def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
     """Write a figure as ``stem.png`` (200 dpi) and ``stem.pdf``; same figure, same bytes.
 
+    What is too much for a vector file is a picture of 200 dpi in it.
+
     Parameters
     ----------
     figure : Figure
@@ -199,9 +201,10 @@ def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
     InputError
         If the folder does not exist or cannot be written to.
     """
+    undated = {"CreationDate": None}
     files = {
         Path(folder, f"{stem}.png"): _render(figure, "png", dpi=200, metadata={"Software": None}),
-        Path(folder, f"{stem}.pdf"): _render(figure, "pdf", metadata={"CreationDate": None}),
+        Path(folder, f"{stem}.pdf"): _render(figure, "pdf", dpi=200, metadata=undated),
     }
     for path, content in files.items():
         with atomic_write(path) as stream:
