@@ -65,6 +65,7 @@ _WINE, _INDIGO, _OLIVE = "#882255", "#332288", "#999933"
 
 LOOKS: Mapping[str, Look] = {
     "ekf": Look(_BLUE, "o", "-"),
+    "ekf-compressed": Look("#004488", "8", ":"),
     "iekf": Look(_SKY, "h", "--"),
     "ekf-ideal": Look("#595959", "*", ":"),
     "ekf-fej": Look(_PURPLE, "v", "-."),
