@@ -90,7 +90,7 @@ def parse(text: str) -> Call:
     options, words = {}, {}
     for part in split(rest[:-1]):
         key, equals, word = (piece.strip() for piece in part.partition("="))
-        if not (equals and key.isidentifier()):
+        if not (equals and _KEY.fullmatch(key)):
             raise InputError(f"{part!r} in {text!r} is no option: write option=value")
         if key in options:
             raise InputError(f"option {key} is given twice in {text!r}")
@@ -125,6 +125,7 @@ def split(text: str) -> list[str]:
     return [part.strip() for part in parts if part.strip()]
 
 
+_KEY = re.compile(r"[^\W\d]\w*(\.\w+)*")  # with dots: of a scenario's tables
 _WORD = re.compile(r"[^\W\d][\w.:-]*(\(.*\))?")
 
 

@@ -97,7 +97,7 @@ def test_an_unknown_name_gets_close_ones(name, close):
 @pytest.mark.parametrize("name", ["", "zzzzzz"])
 def test_an_unknown_name_without_close_ones_gets_all(name):
     with pytest.raises(
-        UnknownNameError, match=r"known: dead-reckoning, ekf, ekf-fej, .*gtsam-batch"
+        UnknownNameError, match=r"known: dead-reckoning, ekf, ekf-compressed, .*gtsam-batch"
     ):
         resolve(name)
 

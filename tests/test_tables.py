@@ -71,6 +71,7 @@ SUMMARY = [
     "sigma_ratio_heading",
     "time_total_s",
     "time_marginals_s",
+    "time_per_step_mean_us",
     "time_per_step_median_us",
     "time_per_step_p99_us",
 ]
@@ -280,6 +281,7 @@ def test_summary_of_chosen_errors(dataset, estimate):
         "nis_inside_95": 1.0,
         "time_total_s": 0.5,
         "time_marginals_s": 0.25,
+        "time_per_step_mean_us": 30.0,
         "time_per_step_median_us": 30.0,
         "time_per_step_p99_us": 59.4,
         "gap_landmark_rmse_m": 0.0,

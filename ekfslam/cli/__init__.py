@@ -157,6 +157,7 @@ def compare(
       ekfslam compare orchard --estimators "ekf, ekf(association=joint, confirm=3)"
 
       ekfslam compare park --tables parquet --every 10 --out results/park
+      ekfslam compare "city(world.count=1000)" --estimators "ekf-compressed, gtsam-isam2"
     """
     from ekfslam.experiments.compare import DATASETS
     from ekfslam.experiments.compare import compare as run
@@ -350,8 +351,10 @@ def simulate(
     [bold]Example[/bold]
 
       ekfslam simulate park --seed 7 --out park-7.npz
+      ekfslam simulate "city(world.count=5000, path.steps=10000)" --out city.npz
     """
     from ekfslam.errors import InputError
+    from ekfslam.experiments.sources import open_scenario
     from ekfslam.export import write_g2o
     from ekfslam.simulation import simulate as draw
 
@@ -360,7 +363,8 @@ def simulate(
     for path in filter(None, (out, g2o)):
         if not path.parent.is_dir():
             raise InputError(f"cannot write {path}: there is no folder {path.parent}")
-    dataset = draw(scenario, seed=seed, noise=noise, odometry_noise=odometry_noise)
+    drawn = open_scenario(scenario)
+    dataset = draw(drawn, seed=seed, noise=noise, odometry_noise=odometry_noise)
     written = [str(out)]
     if g2o is not None:  # first: it can be refused for what the dataset holds
         write_g2o(dataset, g2o)

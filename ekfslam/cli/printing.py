@@ -256,7 +256,7 @@ MEASURED = (
     Column("gap_landmark_rmse_m", "map gap\n[m]", _digits),
     Column("sigma_ratio_position", "sigma\nratio", _digits),
     Column("time_total_s", "time\n[s]", _seconds),
-    Column("time_per_step_median_us", "per step\n[us]", _digits),
+    Column("time_per_step_mean_us", "per step\n[us]", _digits),
 )
 ASSOCIATED = (
     Column("association_precision", "precision", _share),

@@ -12,7 +12,7 @@ from ekfslam.datasets.graph_files import SUFFIXES as GRAPHS
 from ekfslam.datasets.graph_files import load as load_graph
 from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.registry import parse
-from ekfslam.simulation import scenarios, simulate
+from ekfslam.simulation import Scenario, load_scenario, scenarios, simulate
 
 
 def open_dataset(
@@ -23,11 +23,11 @@ def open_dataset(
     Parameters
     ----------
     source : str, path or Dataset
-        A scenario or its TOML file (simulated with `seed`), a recorded set, a file written by
-        `Dataset.save` (``.npz``), or a graph file (``.g2o``, ``.graph``, ``.pyfg``). Options of
-        its loader may follow the name of a recorded set, as in ``victoria-park(noise=file)``, and
-        become part of the dataset's name, or that of a graph file, as in
-        ``loop.g2o(unsupported=drop)``.
+        A scenario or its TOML file (simulated with `seed`; values to set may follow, see
+        `open_scenario`), a recorded set, a file written by `Dataset.save` (``.npz``), or a graph
+        file (``.g2o``, ``.graph``, ``.pyfg``). Options of its loader may follow the name of a
+        recorded set, as in ``victoria-park(noise=file)``, and become part of the dataset's name,
+        or that of a graph file, as in ``loop.g2o(unsupported=drop)``.
     seed : int
         Of a simulation.
     path : path, optional
@@ -53,14 +53,34 @@ def open_dataset(
         return Dataset.load(name)
     if name.partition("(")[0].strip().endswith(GRAPHS):
         return _graph(name)
-    if name in scenarios() or name.endswith(".toml"):
-        return simulate(name, seed=seed)
+    scenario = name.partition("(")[0].strip()
+    if scenario in scenarios() or scenario.endswith(".toml"):
+        return simulate(open_scenario(name), seed=seed)
     if name and Path(name).exists():
         raise InputError(
             f"{name}: a dataset file ends in .npz, a scenario file in .toml, a graph file in "
             f"{', '.join(GRAPHS)}"
         )
     raise UnknownNameError("dataset", name, [*scenarios(), *RECORDED])
+
+
+def open_scenario(name: str) -> Scenario:
+    """A scenario of a name or file, which values to set may follow.
+
+    Parameters
+    ----------
+    name : str
+        As in ``city(world.count=5000, path.steps=10000)``, with keys as for
+        `ekfslam.simulation.load_scenario`; they become part of the scenario's name.
+
+    Raises
+    ------
+    UnknownNameError, FileFormatError, InputError
+        As `load_scenario`, and for text that cannot be read.
+    """
+    call = parse(name)
+    scenario = load_scenario(call.name, call.options)
+    return replace(scenario, name=str(call)) if call.options else scenario
 
 
 def _graph(name: str) -> Dataset:
