@@ -136,9 +136,11 @@ def known_identities(dataset: Dataset, ids: np.ndarray) -> np.ndarray:
     """Identities of the dataset's own, -1 for those that no true landmark carries."""
     origin = origins(dataset)
     # A map given in advance holds landmarks that were never seen; they are true nevertheless.
-    in_map = np.empty(0, np.int64) if dataset.true_map is None else dataset.true_map.ids
-    true = in_map if origin is None else np.union1d(in_map, origin)
-    return np.where(np.isin(ids, true), ids, NO_LANDMARK)
+    true = np.zeros(len(ids), dtype=bool)
+    for some in (origin, None if dataset.true_map is None else dataset.true_map.ids):
+        if some is not None:
+            true |= np.isin(ids, some)
+    return np.where(true, ids, NO_LANDMARK)
 
 
 def map_ids(landmarks: LandmarkEstimates) -> np.ndarray:
