@@ -13,7 +13,7 @@ import numpy as np
 
 from baselines import covariances, keys
 from baselines.association import Association
-from baselines.entry import all_at_once, notes, rows_of, warm_up
+from baselines.entry import all_at_once, notes, partial, rows_of, warm_up
 from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
 from baselines.options import check
@@ -22,6 +22,8 @@ from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
 from ekfslam.geometry import Array
 from ekfslam.registry import Progress, estimator_name, resolve
+
+LARGE = 500
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,8 @@ class GtsamBatch:
     Parameters
     ----------
     initial : str, Estimator or Estimate
-        Where to start, and whose association to take if it made its own.
+        Where to start, and whose association to take if it made its own. From `LARGE` landmarks of
+        known identity and full views, ``ekf`` stands for ``ekf-compressed``: the same estimate.
     relative_tolerance : float
         Relative decrease of the error below which it stops.
     max_iterations : int
@@ -88,6 +91,8 @@ class GtsamBatch:
         UnsupportedError
             If the graph cannot be built, see `baselines.landmark_graph`.
         """
+        if self.initial == "ekf" and is_large(dataset):
+            return replace(self, initial="ekf-compressed").estimate(dataset, progress)
         warm_up(dataset)
         covariances.warm_up()
         source = ready(self.initial, dataset)
@@ -181,6 +186,16 @@ class GtsamBatch:
             graph_dof=problem.dof(rows),
             message="; ".join(said),
         )
+
+
+def is_large(dataset: Dataset) -> bool:
+    """Whether a start by the whole map would take longer than the smoother."""
+    if (
+        not dataset.association_known
+        or partial(dataset, np.arange(len(dataset.observations))).any()
+    ):
+        return False
+    return len(np.unique(dataset.observations.landmark)) > LARGE
 
 
 def start_of(estimate: Estimate, dataset: Dataset) -> Array | None:

@@ -13,7 +13,7 @@ import pytest
 from corridor import corridor
 from problems import near
 
-from baselines import selected_inverse
+from baselines import batch, selected_inverse
 from baselines.association import Association
 from baselines.batch import GtsamBatch
 from baselines.entry import Entrance, all_at_once, located
@@ -209,3 +209,17 @@ def test_a_window_that_does_not_fit_is_refused_with_its_size(monkeypatch):
 def test_the_joint_covariance_is_symmetric_to_the_last_bit():
     joint = GtsamFixedLag(lag=3).estimate(simulate("team", seed=1)).joint_covariance
     np.testing.assert_array_equal(joint, joint.T)
+
+
+def test_the_start_of_a_large_map_is_the_compressed_filters(monkeypatch):
+    """The same estimate as the full filter's, so that the smoother ends where it would have."""
+    data = corridor(SHORT)
+    plain = GtsamBatch().estimate(data)
+    assert "from ekf;" in f"{plain.message};"
+    monkeypatch.setattr(batch, "LARGE", 10)
+    started = GtsamBatch().estimate(data)
+    assert "from ekf-compressed" in started.message
+    assert started.options["initial"] == "ekf-compressed"
+    np.testing.assert_allclose(started.smoothed.poses, plain.smoothed.poses, atol=1e-9)
+    bearings = simulate("cloister-bearing", seed=1)
+    assert "from ekf;" in f"{GtsamBatch().estimate(bearings).message};"
