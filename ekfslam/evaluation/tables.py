@@ -275,5 +275,7 @@ def _named(names: list[str], index: np.ndarray) -> Any:
 def _without_padding(innovation: Array, S: Array, size: np.ndarray) -> tuple[Array, Array]:
     """Innovations and their covariances, NaN in the rows and columns that no sensor reported."""
     padding = np.arange(WIDTH) >= size[:, None]
+    if not padding.any():  # so nothing is copied
+        return innovation, S
     either = padding[:, :, None] | padding[:, None, :]
     return np.where(padding, np.nan, innovation), np.where(either, np.nan, S)

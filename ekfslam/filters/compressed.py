@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ekfslam.association.index import build
 from ekfslam.blas import one_thread
 from ekfslam.compiled import now, prepare
 from ekfslam.dataset import Sightings
@@ -15,7 +14,7 @@ from ekfslam.errors import InputError
 from ekfslam.filters.arrays import Journal, Log
 from ekfslam.filters.ekf import Ekf
 from ekfslam.filters.engine import Engine
-from ekfslam.filters.evidence import spread
+from ekfslam.filters.evidence import widest
 from ekfslam.filters.gaussian_map import GaussianMap
 from ekfslam.filters.local_map import (
     EACH,
@@ -36,7 +35,7 @@ from ekfslam.filters.measure import POINT, POSE
 from ekfslam.filters.options import KNOWN, MOST
 from ekfslam.geometry import Array
 
-CELL = 10.0  # of the grid of landmarks [m]
+ROUNDING = 1e-9  # of a variance that is a difference of two
 NEVER = int(np.iinfo(np.int64).max)
 
 
@@ -57,7 +56,8 @@ class CompressedEngine(Engine):
         carried, count = np.zeros(full, dtype=np.int64), np.zeros(1, dtype=np.int64)
         self.area = Area(nowhere, carried, carried.copy(), count, full)
         self._survey: Survey | None = None
-        self._moved = 0.0  # NIS of all corrections since the survey
+        self._surveyed = np.zeros(2)  # where the robot was
+        self._moved = 0.0  # NIS of all corrections since the last way home
         self._set_out()
 
     @property
@@ -74,6 +74,7 @@ class CompressedEngine(Engine):
         slam.size[0] = 2 * poses
         self.register.offsets[:] = -1
         self.area.carrying[0] = 0
+        self._survey, self._moved = None, 0.0
         carry(self.area, poses, 0, poses)
 
     def come_home(self) -> None:
@@ -95,7 +96,6 @@ class CompressedEngine(Engine):
         write_rows(whole.arrays.covariance, size, there, after)
         whole.arrays.size[0] = size
         whole.mean[there] = mean[here]
-        self._survey = None
         self._set_out()
 
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -141,10 +141,10 @@ class CompressedEngine(Engine):
         if self.settings.method == KNOWN:
             prepare(beyond, sightings, 0, 0, register, self.area)
             return
-        prepare(build, rows, 0, 0.0)
-        survey, three = Survey(build(rows, 0, CELL), which, 0.0), np.zeros(POSE)
+        row, three = np.zeros(0), np.zeros(POSE)
+        survey = Survey(which, rows, row, 0, row)
         prepare(within_reach, survey, 0.0, *self._local, 0, three, three, 0.0)
-        prepare(spread, np.int64(0), three[:2], np.eye(2))
+        prepare(widest, sightings, 0, 0)
 
     @property
     def _local(self) -> tuple[Any, ...]:
@@ -190,31 +190,37 @@ class CompressedEngine(Engine):
         if self.settings.method == KNOWN:
             return beyond(sightings, first, last, self.register, self.area)
         limits, mount = sightings.limits[first], sightings.mount[first]
-        survey = self._survey
-        if survey is None or survey.spread * np.sqrt(self._moved) > 0.5 * limits[1]:
-            survey = self._survey = self._look_round()
-            self._moved = 0.0
-        noise = max(
-            (spread(sightings.kind[i], sightings.values[i], sightings.covariance[i])
-             for i in range(first, last)),
-            default=0.0,
-        )  # fmt: skip
-        local = *self._local, int(sightings.robot[first]), mount, limits, noise
-        return within_reach(survey, self._moved, *local), last - first
+        robot = int(sightings.robot[first])
+        here = self.slam.mean[POSE * robot : POSE * robot + 2]
+        if self._survey is None or np.hypot(*(here - self._surveyed)) > limits[1]:
+            self._look_round(here)
+        if self._survey is None:
+            return np.zeros(0, dtype=np.int64), last - first
+        noise = widest(sightings, first, last)
+        local = *self._local, robot, mount, limits, noise
+        return within_reach(self._survey, self._moved, *local), last - first
 
-    def _look_round(self) -> Survey:
-        """Where all landmarks of the whole map are now."""
-        whole, area, count = self.whole, self.area, int(self.area.carrying[0])
-        which = np.flatnonzero(area.home >= 0)
-        mean, at = whole.mean.copy(), area.home[which]
-        if self.slam.size > 2 * self._poses:
-            rows = np.empty((count, whole.size))
-            read_rows(whole.arrays.covariance, whole.size, area.origin[:count], rows)
-            mean += self.slam.mean[area.carried[:count]] @ rows
-        variances = whole.arrays.covariance.diagonal()
-        widest = float(np.sqrt((variances[at] + variances[at + 1]).max(initial=0.0)))
-        positions = np.column_stack([mean[at], mean[at + 1]])
-        return Survey(build(positions, len(which), CELL), which, widest)
+    def _look_round(self, here: Array) -> None:
+        """What is known of the whole map, relative to a landmark near to a place."""
+        home = self.area.home
+        which = np.flatnonzero(home >= 0)
+        if not len(which):
+            return
+        P, at = self.whole.arrays.covariance, home[which]
+        positions = self.whole.mean[at[:, None] + np.arange(POINT)]
+        anchor = int(which[np.argmin(((positions - here) ** 2).sum(axis=1))])
+        if self.register.offsets[anchor] < 0:
+            self.make_room(1)
+            bring_in(anchor, *self._local)
+        rows = np.empty((POINT, self.whole.size))
+        read_rows(P, self.whole.size, home[anchor] + np.arange(POINT), rows)
+        own = P.diagonal()
+        variances = own[at] + own[at + 1]
+        shared = rows[0, at] + rows[1, at + 1]
+        apart = variances + variances[which == anchor] - 2.0 * shared
+        apart = np.sqrt(np.maximum(apart, 0.0) + ROUNDING * variances)
+        self._survey = Survey(which, positions, variances, anchor, apart)
+        self._surveyed = here.copy()
 
     def _use(
         self, sightings: Sightings, first: int, last: int, k: int, log: Log, journal: Journal

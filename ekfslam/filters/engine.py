@@ -15,6 +15,7 @@ from ekfslam.dataset import Prior, Sightings
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import Decision, LandmarkEstimates
 from ekfslam.filters.arrays import Bank, Journal, Log, Register, State, Tentative, Waiting
+from ekfslam.filters.delayed import bring_up_to_date
 from ekfslam.filters.ekf_slam import (
     DONE,
     GROW,
@@ -31,6 +32,7 @@ from ekfslam.filters.evidence import Evidence, gather
 from ekfslam.filters.exchange import exchanged, starting
 from ekfslam.filters.gaussian_map import GaussianMap
 from ekfslam.filters.initiation import extend, note_corrections, note_points
+from ekfslam.filters.kernels import copy_triangle, rearrange
 from ekfslam.filters.measure import BANKED, INVERSE_DEPTH, POINT, POSE
 from ekfslam.filters.options import BANK, DELAYED, GLOBAL, JOINT, OF_POINTS, Options
 from ekfslam.filters.partial import prepare_partial, see_to_partial
@@ -173,6 +175,9 @@ class Engine:
         """Compile all that a run may need, so that no clock counts it."""
         state, settings = self.state, self.settings
         slam, register = self.slam.arrays, self.register
+        prepare(copy_triangle, slam.covariance, 0, slam.covariance)
+        prepare(rearrange, slam.covariance, 0, slam.size)
+        prepare(bring_up_to_date, slam)
         prepare(run, 0, 0, *moves, offsets, sightings, slam, register, settings, log, self.other)
         if settings.plain:
             return

@@ -105,12 +105,11 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
     sensor = placed(mount, mean[pose : pose + 3])
     elsewhere = placed(mount, points[pose : pose + 3])
     rows = np.empty(last - first, np.int64)
-    m, noise = 0, 0.0
+    m, noise = 0, widest(sightings, first, last)
     for i in range(first, last):
         if sightings.target[i] < 0:
             rows[m] = i
             m += 1
-            noise = max(noise, spread(kind, sightings.values[i], sightings.covariance[i]))
     rows = rows[:m]
     candidates = feasible(state.slam, register, robot, mount, limits, noise, variant)
     count = candidates.size
@@ -154,6 +153,17 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
 def uses_points(method):  # type: ignore[no-untyped-def]
     """Whether a method compares back-projected points."""
     return method in (EUCLIDEAN, EUCLIDEAN_FIRST, MAHALANOBIS_FIRST)
+
+
+@compiled
+def widest(sightings, first, last):  # type: ignore[no-untyped-def]
+    """The largest `spread` of the landmarks in a look [m]."""
+    noise = 0.0
+    for i in range(first, last):
+        if sightings.target[i] < 0:
+            value, R = sightings.values[i], sightings.covariance[i]
+            noise = max(noise, spread(sightings.kind[i], value, R))
+    return noise
 
 
 @compiled

@@ -134,7 +134,7 @@ class GaussianMap:
         late = np.zeros((len(self.arrays.late), capacity))
         late[:, :n] = self.arrays.late[:, :n]
         mean[:n] = self.arrays.mean[:n]
-        covariance[:n, :n] = self.arrays.covariance[:n, :n]
+        kernels.copy_triangle(self.arrays.covariance, n, covariance)
         points, room = self.arrays.points, np.zeros(capacity - len(self.arrays.mean))
         points = points._replace(
             at=np.concatenate([points.at, room]), first=np.concatenate([points.first, room])

@@ -400,6 +400,13 @@ def remove(mean, P, n, offset, size):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def copy_triangle(P, n, out):  # type: ignore[no-untyped-def]
+    """Copy the triangle, and no memory that was never used."""
+    for i in range(n):
+        out[i, i:n] = P[i, i:n]
+
+
+@compiled
 def rearrange(P, n, order):  # type: ignore[no-untyped-def]
     """Make the triangle a full symmetric matrix, its coordinates in another order; in place.
 

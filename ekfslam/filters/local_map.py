@@ -22,13 +22,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpstrf
 
-from ekfslam.association.index import Grid, near
 from ekfslam.blas import subtract_square
 from ekfslam.compiled import compiled, now
 from ekfslam.filters.ekf_slam import DONE, GROW, run
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.filters.options import KNOWN
-from ekfslam.filters.visibility import SURE, around, may_see, seen_from
+from ekfslam.filters.visibility import SURE, may_see, out_of_range, seen_from, uncertainty
 from ekfslam.geometry import Array
 
 LEAVE = 4  # beside DONE, GROW, INDEFINITE and LOOK: the area is full
@@ -120,63 +119,74 @@ def beyond(sightings, first, last, register, area):  # type: ignore[no-untyped-d
 
 
 class Survey(NamedTuple):
-    """Where the landmarks of the whole map were at some time, sorted for a search.
+    """What is known of the landmarks of the whole map since the last way home.
 
     Attributes
     ----------
-    grid : Grid
     which : (N,) ndarray of int
-        Register index of each of its points.
-    spread : float
-        The largest sigma of any of them [m].
+        Their register indices.
+    positions : (N, 2) ndarray
+        As the whole map has them [m].
+    variances : (N,) ndarray
+        Trace of the covariance of each [m^2].
+    anchor : int
+        Register index of a landmark in the area, near to the robot.
+    apart : (N,) ndarray
+        Sigma of the position of each relative to the anchor [m].
     """
 
-    grid: Grid
     which: np.ndarray
-    spread: float
+    positions: Array
+    variances: Array
+    anchor: int
+    apart: Array
 
 
 @compiled
 def within_reach(survey, moved, slam, register, whole, area, robot, mount, limits, noise):  # type: ignore[no-untyped-def]
     """Landmarks beyond the area that may be visible, by register index: none is left out.
 
-    With w of innovations whitened, the corrections since a survey have moved a landmark by
-    ``P(0) sum Phi' H' S^-1 nu``: by the inequality of Cauchy and Schwarz no more than its sigma
-    times ``|w|``. So a circle that is larger by that much has all that may be in view; of these the
-    place is computed as it is now. The variance that a landmark had at the last way home is no
-    smaller than what it has now, and than the part of it that any correction took.
+    Corrections move a landmark with the anchor, which is known, and relative to it. With w of all
+    whitened innovations since the last way home, the latter is a product of w with something whose
+    square is what the variance of (landmark - anchor) has lost: by the inequality of Cauchy and
+    Schwarz no more than its sigma then times ``|w|``. Where that leaves a landmark out of view it
+    is out of view; of the others the place is computed as it is now. Their variance at the last way
+    home is no smaller than now.
 
     Parameters
     ----------
     survey : Survey
     moved : float
-        Sum of the NIS of all corrections since the survey.
+        Sum of the NIS of all corrections since the last way home.
     robot : int
     mount, limits : (3,) ndarray
         Of the sensor.
     noise : float
         Standard deviation of a sighting, as a length [m].
     """
-    mean, pose = slam.mean, POSE * robot
-    x, y, radius = around(mean, slam.covariance, pose, mount, limits[1], noise, survey.spread)
-    hits = np.empty(survey.which.size, np.int64)
-    radius += survey.spread * math.sqrt(moved)
-    count = near(survey.grid, x, y, radius, hits) if radius < np.inf else hits.size
-    if radius == np.inf:
-        hits[:] = np.arange(hits.size)
-    w, found, n = np.zeros((POINT, slam.size[0])), np.empty(count, np.int64), 0
-    for hit in hits[:count]:
-        index = survey.which[hit]
+    mean, P, pose, most = slam.mean, slam.covariance, POSE * robot, math.sqrt(moved)
+    w, found, n = np.zeros((POINT, slam.size[0])), np.empty(survey.which.size, np.int64), 0
+    x, y, anchor = 0.0, 0.0, area.home[survey.anchor]
+    x = mean[register.offsets[survey.anchor]] - whole.mean[anchor]
+    y = mean[register.offsets[survey.anchor] + 1] - whole.mean[anchor + 1]
+    for k in range(survey.which.size):
+        index, own = survey.which[k], survey.variances[k]
+        here = survey.positions[k, 0] + x, survey.positions[k, 1] + y
+        # Nearer to the sensor than this it cannot be; the farther, the less likely is it in view.
+        distance, _, _ = seen_from(mean, P, pose, mount, here[0], here[1], own)
+        distance = max(distance - most * survey.apart[k], 0.0)
+        sigma = uncertainty(P, pose, distance, own)
+        if out_of_range(P, pose, distance, SURE * (sigma + noise), limits):
+            continue
         if register.offsets[index] >= 0:
             continue
         at = area.home[index]
         for a in range(POINT):
             ties(index, whole, area, w[a], a)
-        here_x = whole.mean[at] + w[0] @ mean[: slam.size[0]]
-        here_y = whole.mean[at + 1] + w[1] @ mean[: slam.size[0]]
-        own = whole.covariance[at, at] + whole.covariance[at + 1, at + 1]
-        seen = seen_from(mean, slam.covariance, pose, mount, here_x, here_y, own)
-        if may_see(seen[0], seen[1], SURE * (seen[2] + noise), limits):
+        now_x = whole.mean[at] + w[0] @ mean[: slam.size[0]]
+        now_y = whole.mean[at + 1] + w[1] @ mean[: slam.size[0]]
+        distance, bearing, sigma = seen_from(mean, P, pose, mount, now_x, now_y, own)
+        if may_see(distance, bearing, SURE * (sigma + noise), limits):
             found[n] = index
             n += 1
     return found[:n]

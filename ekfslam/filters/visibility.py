@@ -51,10 +51,28 @@ def seen_from(mean, P, pose, mount, x, y, own):  # type: ignore[no-untyped-def]
     east = x - mean[pose] - c * mount[0] + s * mount[1]
     north = y - mean[pose + 1] - s * mount[0] - c * mount[1]
     distance = math.sqrt(east * east + north * north)
+    bearing = wrap(math.atan2(north, east) - mean[pose + 2] - mount[2])
+    return distance, bearing, uncertainty(P, pose, distance, own)
+
+
+@compiled
+def uncertainty(P, pose, distance, own):  # type: ignore[no-untyped-def]
+    """Sigma of the place of a point in the view: its own, the robot's, and the heading's."""
     variance = own + P[pose, pose] + P[pose + 1, pose + 1]
     variance += distance * distance * P[pose + 2, pose + 2]
-    bearing = wrap(math.atan2(north, east) - mean[pose + 2] - mount[2])
-    return distance, bearing, math.sqrt(max(variance, 0.0))
+    return math.sqrt(max(variance, 0.0))
+
+
+@compiled
+def out_of_range(P, pose, distance, slack, limits):  # type: ignore[no-untyped-def]
+    """Whether a point that is at least so far away cannot be in range.
+
+    The slack grows with the distance by three sigmas of the heading: if these are a radian, what is
+    farther may be more likely in view.
+    """
+    if SURE * math.sqrt(max(P[pose + 2, pose + 2], 0.0)) >= 1.0:
+        return False
+    return distance > limits[1] + slack
 
 
 @compiled
