@@ -112,7 +112,7 @@ def feasible(slam, register, robot, mount, limits, noise, variant):  # type: ign
         right-invariant errors and in the frame of a robot, the grid, which rests on a bound, is
         not used.
     """
-    offsets, sizes = register.offsets, register.sizes
+    mean, P, offsets, sizes = slam.mean, slam.covariance, register.offsets, register.sizes
     count, pose = register.used[0], POSE * robot
     invariant = variant == INVARIANT
     bounded = variant not in (INVARIANT, ROBOCENTRIC)
@@ -128,9 +128,17 @@ def feasible(slam, register, robot, mount, limits, noise, variant):  # type: ign
         if at < 0:
             continue
         if sizes[index] == POINT:
-            distance, bearing, sigma = sighted(slam, at, pose, mount, invariant)
-            if not may_see(distance, bearing, SURE * (sigma + noise), limits):
-                continue
+            if not invariant:  # by a bound first: corrections that wait make no variance larger
+                own = P[at, at] + P[at + 1, at + 1]
+                distance, bearing, sigma = seen_from(
+                    mean, P, pose, mount, mean[at], mean[at + 1], own
+                )
+                if not may_see(distance, bearing, SURE * (sigma + noise), limits):
+                    continue
+            if invariant or slam.held[0] > 0:
+                distance, bearing, sigma = sighted(slam, at, pose, mount, invariant)
+                if not may_see(distance, bearing, SURE * (sigma + noise), limits):
+                    continue
         found[n] = index
         n += 1
     return found[:n]
