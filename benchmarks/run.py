@@ -19,6 +19,7 @@ import pandas as pd
 from association import association
 from campaigns import campaigns
 from covariance_recovery import recovery
+from evaluation import evaluation
 from family import family
 from fastslam import fastslam
 from map_size import map_size
@@ -38,6 +39,7 @@ PARTS: dict[str, Callable[[], list[list[Any]]]] = {
     "association": association,
     "family": family,
     "fastslam": fastslam,
+    "evaluation": evaluation,
     "campaigns": campaigns,
     "start-up": start_up,
 }

@@ -395,6 +395,20 @@ def test_values_of_scenarios_in_names():
         open_dataset("parc(path.laps=1)")
 
 
+def test_a_city_of_a_size_goes_through_all_of_it(tmp_path):
+    """Simulation, filters on the whole and on a local map, smoother, tables, files and figures."""
+    name = "city(world.count=80, path.steps=150)"
+    found = compare(name, "ekf, ekf-compressed(area=10), gtsam-isam2, gtsam-batch")
+    assert set(found.summary.status) == {"ok"}
+    online = found.summary[found.summary.series == "online"].set_index("estimator")
+    one, other = online.loc["ekf"], online.loc["ekf-compressed(area=10)"]
+    for column in ("ate_position_rmse_m", "landmark_rmse_m", "nees_pose_mean", "nis_per_dof"):
+        assert other[column] == pytest.approx(one[column], rel=1e-6)
+    found.save(tmp_path)
+    files = {path.name for path in tmp_path.iterdir()}
+    assert {"summary.csv", "city-world.count-80-path.steps-150-map.pdf"} <= files
+
+
 def test_options_of_recorded_sets_in_names():
     tight = "victoria-park(odometry_sigmas=(0.05, 0.05, 0.005))"
     found = compare([tight, "victoria-park"], "dead-reckoning")
