@@ -398,7 +398,8 @@ def test_values_of_scenarios_in_names():
 def test_a_city_of_a_size_goes_through_all_of_it(tmp_path):
     """Simulation, filters on the whole and on a local map, smoother, tables, files and figures."""
     name = "city(world.count=80, path.steps=150)"
-    found = compare(name, "ekf, ekf-compressed(area=10), gtsam-isam2, gtsam-batch")
+    estimators = ["ekf", "ekf-compressed(area=10)", "gtsam-isam2", "gtsam-batch"]
+    found = compare(name, estimators)
     assert set(found.summary.status) == {"ok"}
     online = found.summary[found.summary.series == "online"].set_index("estimator")
     one, other = online.loc["ekf"], online.loc["ekf-compressed(area=10)"]
