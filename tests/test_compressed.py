@@ -194,30 +194,6 @@ def test_a_square_root_of_any_rank(rank, rng):
     np.testing.assert_allclose(root @ root.T / unit, psi / unit, atol=1e-12)
 
 
-def test_rows_of_a_triangle_and_back(rng):
-    P = rng.normal(size=(12, 12))
-    P = P + P.T
-    triangle = np.where(np.tri(12, k=-1) > 0, np.nan, P)
-    which = np.array([7, 0, 11, 4])
-    rows = np.empty((4, 12))
-    local_map.read_rows(triangle, 12, which, rows)
-    np.testing.assert_array_equal(rows, P[which])
-    other = rng.normal(size=(12, 12))
-    other = other + other.T
-    local_map.write_rows(triangle, 12, which, other[which])
-    expected = P.copy()
-    expected[which], expected[:, which] = other[which], other[:, which]
-    np.testing.assert_array_equal(np.triu(triangle), np.triu(expected))
-
-
-def test_two_rows_times_a_symmetric_matrix(rng):
-    P = rng.normal(size=(9, 9))
-    P = P + P.T
-    w, rows = rng.normal(size=(2, 9)), np.zeros((2, 9))
-    local_map.times_symmetric(np.where(np.tri(9, k=-1) > 0, np.nan, P), 9, w, rows)
-    np.testing.assert_allclose(rows, w @ P, rtol=1e-13)
-
-
 # What cannot be used -----------------------------------------------------------------------------
 
 

@@ -24,15 +24,14 @@ from ekfslam.filters.local_map import (
     beyond,
     bring_in,
     carry,
-    read_rows,
     reduce_rest,
     run_locally,
     square_root,
     within_reach,
-    write_rows,
 )
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.filters.options import KNOWN, MOST
+from ekfslam.filters.triangle import read_rows, write_rows
 from ekfslam.geometry import Array
 
 ROUNDING = 1e-9  # of a variance that is a difference of two

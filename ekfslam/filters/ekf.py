@@ -21,8 +21,9 @@ from ekfslam.estimates import (
 )
 from ekfslam.filters.arrays import Journal, Log
 from ekfslam.filters.ekf_slam import DONE, INDEFINITE
-from ekfslam.filters.engine import Engine, check_views, views_of_landmarks
+from ekfslam.filters.engine import Engine
 from ekfslam.filters.options import Options
+from ekfslam.filters.suitability import check_views, views_of_landmarks
 from ekfslam.filters.variants import EKF
 from ekfslam.geometry import Array, compose, compose_jacobians, congruence, heading_block
 from ekfslam.registry import Progress

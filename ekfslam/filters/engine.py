@@ -32,18 +32,17 @@ from ekfslam.filters.evidence import Evidence, gather
 from ekfslam.filters.exchange import exchanged, starting
 from ekfslam.filters.gaussian_map import GaussianMap
 from ekfslam.filters.initiation import extend, note_corrections, note_points
-from ekfslam.filters.kernels import copy_triangle, rearrange
 from ekfslam.filters.measure import BANKED, INVERSE_DEPTH, POINT, POSE
-from ekfslam.filters.options import BANK, DELAYED, GLOBAL, JOINT, OF_POINTS, Options
+from ekfslam.filters.options import BANK, DELAYED, GLOBAL, JOINT, Options
 from ekfslam.filters.partial import prepare_partial, see_to_partial
 from ekfslam.filters.recognition import decide_jointly, recognise, robots_seen, settle
+from ekfslam.filters.suitability import check_variant
+from ekfslam.filters.triangle import copy_triangle, rearrange
 from ekfslam.filters.upkeep import delete, upkeep
 from ekfslam.filters.variants import (
-    ALONE,
     AT_ESTIMATES,
     EKF,
     INVARIANT,
-    NAMES,
     OF_THEIR_OWN,
     ROBOCENTRIC,
     settle_pose,
@@ -51,7 +50,7 @@ from ekfslam.filters.variants import (
 from ekfslam.filters.variants.robocentric import MAP, compose
 from ekfslam.filters.waiting import MOST
 from ekfslam.geometry import Array
-from ekfslam.models.sensors import BEARING, RANGE
+from ekfslam.models.sensors import RANGE
 from ekfslam.observations import WIDTH
 
 TENTATIVES = 256  # things that can be tentative at once
@@ -223,39 +222,27 @@ class Engine:
 
         That is `DONE`, or `INDEFINITE` where an innovation covariance was not positive definite.
         """
-        with one_thread():
-            return self._run(start, stop, moves, offsets, sightings, log, journal)
-
-    def _run(
-        self,
-        start: int,
-        stop: int,
-        moves: Any,
-        offsets: np.ndarray,
-        sightings: Sightings,
-        log: Log,
-        journal: Journal,
-    ) -> tuple[int, int]:
         why = DONE
-        while start < stop:
-            start, why = self._plainly(start, stop, moves, offsets, sightings, log)
-            if why == GROW:
-                self.make_room(int(offsets[start + 1] - offsets[start]))
-            elif why == LOOK:
-                begin = now()
-                first, last = int(offsets[start]), int(offsets[start + 1])
-                self._clock[0] = start
-                if not self._observe(sightings, first, last, start, log, journal):
-                    return start, INDEFINITE
-                write_step(self.slam.arrays, start, self.settings, log)
-                if (variant := self.settings.variant) in OF_THEIR_OWN:
-                    place = log.poses[0, start], log.covariances[0, start]
-                    settle_pose(variant, self.slam.arrays, *place)
-                log.seconds[start] = now() - begin + self._owed
-                self._owed = 0.0
-                start += 1
-            else:
-                break
+        with one_thread():
+            while start < stop:
+                start, why = self._plainly(start, stop, moves, offsets, sightings, log)
+                if why == GROW:
+                    self.make_room(int(offsets[start + 1] - offsets[start]))
+                elif why == LOOK:
+                    begin = now()
+                    first, last = int(offsets[start]), int(offsets[start + 1])
+                    self._clock[0] = start
+                    if not self._observe(sightings, first, last, start, log, journal):
+                        return start, INDEFINITE
+                    write_step(self.slam.arrays, start, self.settings, log)
+                    if (variant := self.settings.variant) in OF_THEIR_OWN:
+                        place = log.poses[0, start], log.covariances[0, start]
+                        settle_pose(variant, self.slam.arrays, *place)
+                    log.seconds[start] = now() - begin + self._owed
+                    self._owed = 0.0
+                    start += 1
+                else:
+                    break
         return start, INDEFINITE if why == INDEFINITE else DONE
 
     def _plainly(
@@ -461,65 +448,3 @@ class Engine:
         if len(self._waiting.row):  # what has no coordinates yet waits, or did
             count += int((unmapped & (sizes == 0)).sum())
         return count
-
-
-def views_of_landmarks(sightings: Sightings) -> set[int]:
-    """Codes of the views that show landmarks; robots that are seen ask nothing of a view."""
-    return {int(kind) for kind in np.unique(sightings.kind[sightings.target < 0])}
-
-
-def check_views(options: Options, association: str, sightings: Sightings) -> None:
-    """Refuse what cannot work with the views of landmarks.
-
-    Parameters
-    ----------
-    options : Options
-    association : str
-    sightings : Sightings
-
-    Raises
-    ------
-    UnsupportedError
-        Says what to do.
-    """
-    kinds = views_of_landmarks(sightings)
-    if (options.variant != EKF or options.points_only) and kinds & {BEARING, RANGE}:
-        name = getattr(options, "name", NAMES[options.variant])
-        raise UnsupportedError(f"{name} needs sensors that determine a point")
-    bearings = (sightings.kind == BEARING) & (sightings.target < 0)
-    nearest = sightings.limits[bearings, 0].min(initial=np.inf)
-    partial = kinds & {BEARING, RANGE}
-    if partial and association in OF_POINTS:
-        raise UnsupportedError(f"association {association!r} needs sensors that determine a point")
-    if RANGE in kinds and association != "known":
-        raise UnsupportedError("ranges alone need association 'known'")
-    if partial and options.confirm > 1:
-        raise UnsupportedError("confirm needs sensors that determine a point")
-    if partial and options.initiation == "allocated":
-        raise UnsupportedError("initiation 'allocated' needs sensors that determine a point")
-    if BEARING in kinds and options.bearings == "inverse-depth" and not nearest > 0:
-        raise UnsupportedError(
-            "the prior on the inverse depth of a bearing needs the sensor's min_range: state it"
-        )
-
-
-def check_variant(options: Options, robots: int) -> None:
-    """Refuse options that a filter of the family cannot have, and teams it cannot take.
-
-    Parameters
-    ----------
-    options : Options
-    robots : int
-
-    Raises
-    ------
-    UnsupportedError
-        Says what it would take.
-    """
-    name = NAMES[options.variant]
-    if options.variant in ALONE and robots > 1:
-        raise UnsupportedError(f"{name} is for a single robot, there are {robots}")
-    if options.variant != EKF and options.initiation != "mapped":
-        raise UnsupportedError(f"{name} needs initiation 'mapped'")
-    if options.variant == ROBOCENTRIC and options.confirm > 1:
-        raise UnsupportedError(f"{name} has no fixed frame for tentative landmarks: confirm=1")

@@ -10,7 +10,7 @@ from ekfslam.blas import one_thread
 from ekfslam.checks import check_fits
 from ekfslam.dataset import Prior
 from ekfslam.errors import EkfslamError, InputError
-from ekfslam.filters import kernels
+from ekfslam.filters import kernels, triangle
 from ekfslam.filters.arrays import MapArrays, Points
 from ekfslam.filters.delayed import bring_up_to_date
 from ekfslam.filters.measure import POINT, POSE
@@ -91,7 +91,7 @@ class GaussianMap:
         self.settle()
         n = self.size
         P = self.arrays.covariance[:n, :n].copy()
-        kernels.rearrange(P, n, np.arange(n))
+        triangle.rearrange(P, n, np.arange(n))
         return P
 
     def settle(self) -> None:
@@ -119,7 +119,7 @@ class GaussianMap:
         self.settle()
         P, n = self.arrays.covariance, self.size
         rest = np.setdiff1d(np.arange(n), order)
-        kernels.rearrange(P, n, np.concatenate([order, rest]))
+        triangle.rearrange(P, n, np.concatenate([order, rest]))
         return P[: len(order), : len(order)]
 
     def reserve(self, size: int) -> None:
@@ -134,7 +134,7 @@ class GaussianMap:
         late = np.zeros((len(self.arrays.late), capacity))
         late[:, :n] = self.arrays.late[:, :n]
         mean[:n] = self.arrays.mean[:n]
-        kernels.copy_triangle(self.arrays.covariance, n, covariance)
+        triangle.copy_triangle(self.arrays.covariance, n, covariance)
         points, room = self.arrays.points, np.zeros(capacity - len(self.arrays.mean))
         points = points._replace(
             at=np.concatenate([points.at, room]), first=np.concatenate([points.first, room])

@@ -400,51 +400,6 @@ def remove(mean, P, n, offset, size):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def copy_triangle(P, n, out):  # type: ignore[no-untyped-def]
-    """Copy the triangle, and no memory that was never used."""
-    for i in range(n):
-        out[i, i:n] = P[i, i:n]
-
-
-@compiled
-def rearrange(P, n, order):  # type: ignore[no-untyped-def]
-    """Make the triangle a full symmetric matrix, its coordinates in another order; in place.
-
-    Parameters
-    ----------
-    P : (capacity, capacity) ndarray
-    n : int
-    order : (n,) ndarray of int
-        Old coordinate of each new one: a permutation.
-    """
-    block = 64  # of rows and columns that the cache holds while they change places
-    for first in range(0, n, block):
-        for left in range(0, first + 1, block):
-            for i in range(first, min(first + block, n)):
-                for j in range(left, min(left + block, i)):
-                    P[i, j] = P[j, i]
-    if (order == np.arange(n)).all():
-        return
-    row = np.empty(n)
-    for i in range(n):
-        row[:] = P[i, :n]
-        for j in range(n):
-            P[i, j] = row[order[j]]
-    placed = np.zeros(n, np.bool_)
-    for start in range(n):  # along each cycle of the permutation
-        if placed[start]:
-            continue
-        row[:] = P[start, :n]
-        at = start
-        while order[at] != start:
-            P[at, :n] = P[order[at], :n]
-            placed[at] = True
-            at = order[at]
-        P[at, :n] = row
-        placed[at] = True
-
-
-@compiled
 def replace(mean, P, n, at, size, state, new_size, J):  # type: ignore[no-untyped-def]
     """Put a linear function of a landmark in its place, such as a point for an inverse depth.
 

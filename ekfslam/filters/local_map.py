@@ -27,6 +27,7 @@ from ekfslam.compiled import compiled, now
 from ekfslam.filters.ekf_slam import DONE, GROW, run
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.filters.options import KNOWN
+from ekfslam.filters.triangle import times_symmetric
 from ekfslam.filters.visibility import SURE, may_see, out_of_range, seen_from, uncertainty
 from ekfslam.geometry import Array
 
@@ -242,44 +243,7 @@ def carry(area, local, origin, size):  # type: ignore[no-untyped-def]
     area.carrying[0] = count + size
 
 
-@compiled
-def times_symmetric(P, n, w, rows):  # type: ignore[no-untyped-def]
-    """``rows += w P`` of two rows, reading each entry of the triangle once."""
-    for i in range(n):
-        tail, a, b = P[i, i + 1 : n], w[0, i], w[1, i]
-        left, right = w[0, i + 1 : n], w[1, i + 1 : n]
-        down, up = rows[0, i + 1 : n], rows[1, i + 1 : n]
-        first, second = a * P[i, i], b * P[i, i]
-        for j in range(tail.size):
-            first += left[j] * tail[j]
-            second += right[j] * tail[j]
-            down[j] += a * tail[j]
-            up[j] += b * tail[j]
-        rows[0, i] += first
-        rows[1, i] += second
-
-
 # The way home ------------------------------------------------------------------------------------
-
-
-@compiled
-def read_rows(P, n, which, rows):  # type: ignore[no-untyped-def]
-    """Whole rows of a triangle, (which.size, n)."""
-    for k in range(which.size):
-        at = which[k]
-        for j in range(at):
-            rows[k, j] = P[j, at]
-        rows[k, at:n] = P[at, at:n]
-
-
-@compiled
-def write_rows(P, n, which, rows):  # type: ignore[no-untyped-def]
-    """The opposite; where two rows meet, the later one stands."""
-    for k in range(which.size):
-        at = which[k]
-        for j in range(at):
-            P[j, at] = rows[k, j]
-        P[at, at:n] = rows[k, at:n]
 
 
 @compiled

@@ -14,8 +14,8 @@ from ekfslam.estimates import Decision, Innovations, LandmarkEstimates
 from ekfslam.filters.arrays import Log
 from ekfslam.filters.compressed import EkfCompressed
 from ekfslam.filters.ekf import Ekf
-from ekfslam.filters.engine import check_views
 from ekfslam.filters.family import EkfFej, EkfRi, EkfRobocentric, Iekf
+from ekfslam.filters.suitability import check_views
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import VIEWS, Sensor
 
