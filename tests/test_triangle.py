@@ -9,17 +9,17 @@ from ekfslam.filters import triangle
 def test_rows_of_a_triangle_and_back(rng):
     P = rng.normal(size=(12, 12))
     P = P + P.T
-    triangle = np.where(np.tri(12, k=-1) > 0, np.nan, P)
+    stored = np.where(np.tri(12, k=-1) > 0, np.nan, P)
     which = np.array([7, 0, 11, 4])
     rows = np.empty((4, 12))
-    triangle.read_rows(triangle, 12, which, rows)
+    triangle.read_rows(stored, 12, which, rows)
     np.testing.assert_array_equal(rows, P[which])
     other = rng.normal(size=(12, 12))
     other = other + other.T
-    triangle.write_rows(triangle, 12, which, other[which])
+    triangle.write_rows(stored, 12, which, other[which])
     expected = P.copy()
     expected[which], expected[:, which] = other[which], other[:, which]
-    np.testing.assert_array_equal(np.triu(triangle), np.triu(expected))
+    np.testing.assert_array_equal(np.triu(stored), np.triu(expected))
 
 
 def test_two_rows_times_a_symmetric_matrix(rng):
