@@ -24,7 +24,7 @@ from ekfslam.estimates import DIVERGED, OK, Estimate, Innovations, LandmarkEstim
 from ekfslam.evaluation import judged, match_landmarks, tables, verdict
 from ekfslam.evaluation.tables import read_table
 from ekfslam.experiments import compare, files
-from ekfslam.experiments.saving import OF_STEPS
+from ekfslam.experiments.comparison import OF_STEPS
 from ekfslam.models.motion import MotionModel
 from ekfslam.models.sensors import Sensor
 from ekfslam.observations import Observations

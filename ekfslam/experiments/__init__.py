@@ -2,7 +2,8 @@
 
 from ekfslam.experiments.association import AssociationStudy, association_study
 from ekfslam.experiments.campaign import Campaign
-from ekfslam.experiments.compare import Comparison, compare
+from ekfslam.experiments.compare import compare
+from ekfslam.experiments.comparison import Comparison
 from ekfslam.experiments.partial import PartialStudy, partial_study
 from ekfslam.experiments.reading import load_campaign
 from ekfslam.experiments.recorded import RecordedStudy, recorded_study

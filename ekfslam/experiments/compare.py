@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,150 +17,17 @@ from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import tables
 from ekfslam.evaluation.landmarks import MATCH_RADIUS
 from ekfslam.experiments.attempts import Watch, attempt, named
+from ekfslam.experiments.comparison import Comparison
 from ekfslam.experiments.files import versions
-from ekfslam.experiments.saving import save_comparison
 from ekfslam.experiments.sources import open_dataset
 from ekfslam.registry import Estimator
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 DATASETS = ("park", "victoria-park")
 ESTIMATORS = ("ekf", "gtsam-batch", "gtsam-isam2", "dead-reckoning")
 REFERENCE = "gtsam-batch"
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Estimators side by side on the same datasets.
-
-    Attributes
-    ----------
-    summary, trajectories, landmarks, innovations, association : DataFrame
-        The tidy tables; columns in ``docs/tables.md``.
-    datasets : dict
-        The `Dataset` of each name.
-    estimates : dict
-        The `Estimate` of each (dataset, estimator).
-    config : dict
-        What was run, with versions and seed.
-    """
-
-    summary: pd.DataFrame
-    trajectories: pd.DataFrame
-    landmarks: pd.DataFrame
-    innovations: pd.DataFrame
-    association: pd.DataFrame
-    datasets: Mapping[str, Dataset]
-    estimates: Mapping[tuple[str, str], Estimate]
-    config: Mapping[str, Any]
-
-    def plot_map(self, dataset: str | None = None) -> Figure:
-        """Map with trajectories, landmarks and 3-sigma ellipses.
-
-        Parameters
-        ----------
-        dataset : str, optional
-            Name; the first one by default.
-        """
-        from ekfslam.plots import plot_map
-
-        name = self._name(dataset)
-        return plot_map(self._of(self.trajectories, name), self._of(self.landmarks, name))
-
-    def plot_errors(self, dataset: str | None = None, robot: str | None = None) -> Figure:
-        """Error against time with the estimator's own 3-sigma band.
-
-        Parameters
-        ----------
-        dataset : str, optional
-            Name; the first one by default.
-        robot : str, optional
-            Name, where there are several; the first one by default.
-        """
-        from ekfslam.plots import plot_errors
-
-        return plot_errors(self._of(self.trajectories, self._name(dataset)), robot)
-
-    def plot_consistency(self, dataset: str | None = None, robot: str | None = None) -> Figure:
-        """NEES and NIS against their chi-square intervals.
-
-        Parameters
-        ----------
-        dataset, robot : str, optional
-            As for `plot_errors`.
-        """
-        from ekfslam.plots import plot_consistency
-
-        name = self._name(dataset)
-        notes = self.datasets[name].notes
-        return plot_consistency(self._of(self.trajectories, name), robot, notes)
-
-    def plot_times(self, dataset: str | None = None) -> Figure:
-        """Time per step."""
-        from ekfslam.plots import plot_times
-
-        return plot_times(self._of(self.trajectories, self._name(dataset)))
-
-    def save(
-        self,
-        folder: str | Path,
-        figures: bool = True,
-        kept: Sequence[str] = tuple(tables.SCHEMAS),
-        form: str = "auto",
-        every: int = 1,
-        watch: Watch | None = None,
-    ) -> list[Path]:
-        """Write tables (CSV or Parquet), configuration (JSON) and figures (PNG and PDF).
-
-        The folder is made if needed. Files appear when all of them have been written; if anything
-        goes wrong, none does. Of several robots each has figures of its errors and consistency. A
-        table that was there in the other form goes.
-
-        Parameters
-        ----------
-        folder : path
-        figures : bool
-            Drawn from all steps.
-        kept : sequence of str
-            Names of the tables; all by default.
-        form : {"auto", "csv", "parquet"}
-            Of the tables: "auto" is CSV for all but those of more than 200,000 rows.
-        every : int
-            Of the tables that have rows for each step, write those of every so many steps, from 0
-            on, and of the last one; config.json then says so.
-        watch : callable, optional
-            Told of progress, file by file.
-
-        Returns
-        -------
-        list of Path
-            The files, in order.
-
-        Raises
-        ------
-        InputError
-            If the folder cannot be written to, or `every` is not a whole number from 1 on.
-        UnknownNameError
-            For another form.
-        """
-        return save_comparison(self, folder, figures, kept, form, every, watch)
-
-    def _name(self, dataset: str | None) -> str:
-        if dataset is None:
-            return next(iter(self.datasets))
-        if dataset not in self.datasets:
-            raise UnknownNameError("dataset of this comparison", dataset, self.datasets)
-        return dataset
-
-    @staticmethod
-    def _of(table: pd.DataFrame, dataset: str) -> pd.DataFrame:
-        return table[table["dataset"] == dataset]
-
-    def _repr_html_(self) -> str:
-        notes = [f"{name}: {note}" for name, each in self.datasets.items() for note in each.notes]
-        told = "".join(f"<p>{escape(note)}</p>\n" for note in notes)
-        return f"{self.summary.to_html(index=False, na_rep='')}\n{told}"
 
 
 def compare(

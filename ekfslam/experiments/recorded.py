@@ -18,7 +18,8 @@ from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.estimates import Estimate
 from ekfslam.evaluation import tables
 from ekfslam.experiments.attempts import Watch
-from ekfslam.experiments.compare import Comparison, compare
+from ekfslam.experiments.compare import compare
+from ekfslam.experiments.comparison import Comparison
 from ekfslam.experiments.files import check_folder, versions, write_together
 from ekfslam.experiments.study import mapped
 from ekfslam.registry import resolve
