@@ -6,6 +6,7 @@ from simulated import drawn
 from test_delayed_update import assert_same
 
 import ekfslam
+from ekfslam import Prior, Sensor, Sightings
 from ekfslam import geometry as geo
 from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.estimates import Decision
@@ -177,6 +178,112 @@ def test_it_tells_what_it_linearised():
     np.testing.assert_array_equal(ours.landmark, full.landmark)
     np.testing.assert_allclose(ours.jacobian, full.jacobian, atol=EXACT)
     np.testing.assert_allclose(ours.point, full.point, atol=EXACT)
+
+
+# What may be in view -----------------------------------------------------------------------------
+
+
+def watcher(reach, sigma):
+    """Sees all around to a short range."""
+    return Sensor("xy", sigma**2 * np.eye(2), max_range=reach)
+
+
+def both(*priors, **options):
+    """The full filter and the compressed one, step by step, for identities that are not known."""
+    return (
+        EkfSlam(list(priors), association="nearest", **options),
+        EkfSlam(
+            list(priors), association="nearest", estimator="ekf-compressed", area=20, **options
+        ),
+    )
+
+
+def test_what_a_correction_has_moved_far_away_is_found_where_it_now_is():
+    """A way of 60 m that was 23 m off to the side: at its end, out of the area, a landmark."""
+    sensor, out = watcher(2.0, 0.05), np.diag([1e-4, 36.0, 1e-9])
+    for slam in both(Prior(), accept=0.9999):
+        slam.observe(Sightings.of(sensor, [[1.0, 1.0]]))
+        slam.predict([60.0, 0.0, 0.0], out)
+        slam.observe(Sightings.of(sensor, [[1.0, 1.0]]))
+        assert len(slam.landmarks) == 2
+        slam.predict([-60.0, 0.0, 0.0], 1e-6 * np.eye(3))
+        again = slam.observe(Sightings.of(sensor, [[1.0, 1.0 - 23.0]]))
+        assert again.landmark.tolist() == [0]
+        np.testing.assert_allclose(slam.pose[:2], [0.0, 23.0], atol=0.2)
+        slam.predict([60.0, 0.0, 0.0], 1e-6 * np.eye(3))
+        again = slam.observe(Sightings.of(sensor, [[1.0, 1.0]]))
+        assert again.landmark.tolist() == [1]
+
+
+def test_what_one_robot_learns_of_another_moves_its_landmarks_too():
+    """Before any landmark is in the area. Then each sees it, far away from the other."""
+    sensor, still = watcher(2.0, 0.1), np.tile(1e-6 * np.eye(3), (2, 1, 1))
+    far = Prior([20.0, 20.0, 0.0], np.diag([25.0, 25.0, 1e-6]))  # in truth at the origin
+    for slam in both(far, Prior([60.0, 1.0, 0.0], 1e-6 * np.eye(3))):
+        slam.observe(Sightings.of(sensor, [[1.0, 1.0]]))
+        assert len(slam.landmarks) == 1
+        slam.predict([[60.0, 0.0, 0.0], [0.0, 0.0, 0.0]], still)
+        slam.observe(Sightings.of(sensor, [[0.0, -1.0]], robot=1, observed_robot=[0]))
+        np.testing.assert_allclose(slam.pose[0], [60.0, 0.0, 0.0], atol=0.1)
+        for moves in ([-60.0, 0.0], [60.0, -60.0]):
+            slam.predict([[along, 0.0, 0.0] for along in moves], still)
+            robot = 0 if moves[0] < 0 else 1
+            value = [[1.0, 1.0 - robot]]
+            again = slam.observe(Sightings.of(sensor, value, robot=robot))
+            assert again.landmark.tolist() == [0]
+
+
+def test_a_sensor_that_errs_by_more_than_its_range_may_see_what_is_beyond():
+    sensor, still = watcher(2.0, 3.0), 1e-9 * np.eye(3)
+    for slam in both(Prior()):
+        for _ in range(50):
+            slam.predict(np.zeros(3), still)
+            slam.observe(Sightings.of(sensor, [[1.0, 0.0]]))
+        assert len(slam.landmarks) == 1
+        slam.predict([-8.0, 0.0, 0.0], still)
+        again = slam.observe(Sightings.of(sensor, [[2.0, 0.0]]))
+        assert again.landmark.tolist() == [0]
+
+
+def test_after_a_look_that_fails_it_goes_on_as_the_full_one_does():
+    """One after another: what was used before the failure counts."""
+    exact, points = watcher(20.0, 1e-15), [[3.0, 1.0], [4.0, -2.0], [5.0, 2.0], [2.0, 2.2]]
+    met = []
+    for slam in both(Prior(covariance=np.diag([1.0, 1.0, 0.1])), update="sequential"):
+        slam.observe(Sightings.of(exact, points))
+        assert len(slam.landmarks) == 4
+        with pytest.raises(InputError, match="not positive definite"):
+            slam.observe(Sightings.of(exact, points))
+        again = slam.observe(Sightings.of(watcher(20.0, 0.1), points))
+        met.append((again.decision.tolist(), again.landmark.tolist()))
+    assert met[0] == met[1]
+
+
+def test_a_landmark_that_is_far_away_is_deleted_while_others_are_in_the_area():
+    dataset = city(120)
+    slams = [EkfSlam(dataset.prior, estimator="ekf-compressed", area=15), EkfSlam(dataset.prior)]
+    for slam in slams:
+        for k, step in enumerate(list(dataset.steps())[:100]):
+            slam.predict(step.increment, step.covariance)
+            slam.observe(step.observations)
+            if k == 90:
+                slam.delete(int(slam._names()[0]))
+    one, other = (slam.landmarks for slam in slams)
+    np.testing.assert_array_equal(one.ids, other.ids)
+    np.testing.assert_allclose(one.covariance, other.covariance, atol=EXACT)
+
+
+def test_all_landmarks_can_be_asked_for_one_by_one():
+    """More than the local map has room for."""
+    dataset = city(120)
+    slams = [EkfSlam(dataset.prior, estimator="ekf-compressed", area=1), EkfSlam(dataset.prior)]
+    for slam in slams:
+        for step in list(dataset.steps())[:150]:
+            slam.predict(step.increment, step.covariance)
+            slam.observe(step.observations)
+    for landmark in slams[1].landmarks.ids.tolist():
+        for a, b in zip(*(slam.landmark(landmark) for slam in slams), strict=True):
+            np.testing.assert_allclose(a, b, atol=EXACT)
 
 
 # Parts -------------------------------------------------------------------------------------------

@@ -167,6 +167,69 @@ def test_step_by_step_is_the_same_to_the_bit():
     assert_same_bits(Ekf(delay=30).estimate(dataset), dataset, delay=30)
 
 
+# The map by itself -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def maps():
+    """A map of two robots and five landmarks with three corrections waiting, and the same settled.
+
+    In both, room is left, and nothing below the diagonal counts.
+    """
+
+    def one(settled):
+        random = np.random.default_rng(7)
+        slam = gaussian_map.GaussianMap([ekfslam.Prior()] * 2, landmarks=5, late=4)
+        half, late = random.normal(size=(16, 16)), random.normal(size=(3, 16))
+        late[:, :6] = 0.0
+        whole = half @ half.T + 20.0 * np.eye(16) + late.T @ late
+        slam.arrays.size[0] = 16
+        slam.arrays.mean[:] = random.normal(size=16)
+        slam.arrays.covariance[:] = np.triu(whole - late.T @ late * settled)
+        if not settled:
+            slam.arrays.late[:3] = late
+            slam.arrays.held[0] = 3
+        return slam
+
+    return one(False), one(True)
+
+
+ACTIONS = {
+    "nothing": lambda slam: None,
+    "a motion": lambda slam: slam.move(np.array([1.0, 0.2, 0.1]), np.diag([0.1, 0.2, 0.03]), 1),
+    "a correction": lambda slam: slam.correct(
+        np.array([8, 12]),
+        np.random.default_rng(1).normal(size=(2, 2, 5)),
+        np.ones((2, 2)),
+        np.tile(np.eye(2), (2, 1, 1)),
+    ),
+    "a new landmark": lambda slam: slam.append(
+        np.zeros(2), np.arange(6.0).reshape(2, 3), np.eye(2), np.eye(2)
+    ),
+    "a function in its place": lambda slam: slam.replace(8, np.ones(1), np.array([[1.0, 2.0]])),
+    "a deletion": lambda slam: slam.remove(8),
+    "more room": lambda slam: slam.reserve(50),
+}
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_what_waits_changes_nothing_that_is_done_to_a_map(action, maps):
+    for slam in maps:
+        ACTIONS[action](slam)
+    late, plain = maps
+    np.testing.assert_allclose(late.mean, plain.mean, rtol=1e-12)
+    for offset, size in ((0, 6), (8, 2), (11, 4)):
+        np.testing.assert_allclose(late.block(offset, size), plain.block(offset, size), rtol=1e-9)
+    np.testing.assert_allclose(late.covariance, plain.covariance, rtol=1e-9, atol=1e-9)
+
+
+def test_a_map_is_surrendered_in_the_order_that_is_asked_for(maps):
+    order = np.array([0, 1, 2, 3, 4, 5, 14, 15, 8, 9])
+    expected = maps[1].covariance[np.ix_(order, order)]
+    for slam in maps:
+        np.testing.assert_allclose(slam.surrendered(order), expected, rtol=1e-9, atol=1e-9)
+
+
 # Memory ------------------------------------------------------------------------------------------
 
 
