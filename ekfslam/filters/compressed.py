@@ -35,7 +35,7 @@ from ekfslam.filters.triangle import read_rows, write_rows
 from ekfslam.geometry import Array
 
 ROUNDING = 1e-9  # of a variance that is a difference of two
-NEVER = int(np.iinfo(np.int64).max)
+UNBOUNDED = int(np.iinfo(np.int64).max)
 
 
 class CompressedEngine(Engine):
@@ -47,10 +47,10 @@ class CompressedEngine(Engine):
 
     def __init__(self, priors: Any, options: EkfCompressed, *arguments: Any) -> None:
         super().__init__(priors, options, *arguments)
-        self.settings = self.settings._replace(most=NEVER, delay_from=NEVER)
+        self.settings = self.settings._replace(most=UNBOUNDED)
         self.whole = self.slam
         full = 2 * self._poses + EACH * options.area
-        self.slam = GaussianMap(priors, full // POINT)
+        self.slam = GaussianMap(priors, full // POINT)  # where nothing waits, but BLAS is used
         nowhere = np.full(len(self.register.offsets), -1, dtype=np.int64)
         carried, count = np.zeros(full, dtype=np.int64), np.zeros(1, dtype=np.int64)
         self.area = Area(nowhere, carried, carried.copy(), count, full)
