@@ -199,20 +199,39 @@ def both(*priors, **options):
 
 
 def test_what_a_correction_has_moved_far_away_is_found_where_it_now_is():
-    """A way of 60 m that was 23 m off to the side: at its end, out of the area, a landmark."""
-    sensor, out = watcher(2.0, 0.05), np.diag([1e-4, 36.0, 1e-9])
+    """A way of 60 m that was 23 m off to the side; at its end a landmark, out of the area.
+
+    Another one, which stands beyond the range, is nearer than it was, and has not moved.
+    """
+    sensor, still, off = watcher(2.0, 0.05), 1e-6 * np.eye(3), np.diag([1e-4, 36.0, 1e-9])
     for slam in both(Prior(), accept=0.9999):
         slam.observe(Sightings.of(sensor, [[1.0, 1.0]]))
-        slam.predict([60.0, 0.0, 0.0], out)
+        slam.predict([62.0, 25.0, 0.0], still)
         slam.observe(Sightings.of(sensor, [[1.0, 1.0]]))
-        assert len(slam.landmarks) == 2
-        slam.predict([-60.0, 0.0, 0.0], 1e-6 * np.eye(3))
+        slam.predict([-62.0, -25.0, 0.0], still)
+        slam.predict([60.0, 0.0, 0.0], off)
+        slam.observe(Sightings.of(sensor, [[1.0, 1.0]]))
+        assert len(slam.landmarks) == 3
+        slam.predict([-60.0, 0.0, 0.0], still)
         again = slam.observe(Sightings.of(sensor, [[1.0, 1.0 - 23.0]]))
         assert again.landmark.tolist() == [0]
         np.testing.assert_allclose(slam.pose[:2], [0.0, 23.0], atol=0.2)
-        slam.predict([60.0, 0.0, 0.0], 1e-6 * np.eye(3))
+        slam.predict([60.0, 0.0, 0.0], still)
         again = slam.observe(Sightings.of(sensor, [[1.0, 1.0]]))
-        assert again.landmark.tolist() == [1]
+        assert again.landmark.tolist() == [2]
+
+
+def test_what_one_robot_has_mapped_is_in_view_of_another():
+    """While the first is far away, and another landmark is nearer."""
+    sensor, still = watcher(2.5, 0.1), np.tile(1e-6 * np.eye(3), (2, 1, 1))
+    for slam in both(Prior(), Prior([100.0, 1.0, 0.0])):
+        for along in (0.0, 4.0):
+            slam.predict([[along, 0.0, 0.0], np.zeros(3)], still)
+            slam.observe(Sightings.of(sensor, [[1.0, 1.0]]))
+        assert len(slam.landmarks) == 2
+        slam.predict([[60.0, 0.0, 0.0], [-96.7, 0.0, 0.0]], still)
+        again = slam.observe(Sightings.of(sensor, [[-2.3, 0.0]], robot=1))
+        assert again.landmark.tolist() == [0]
 
 
 def test_what_one_robot_learns_of_another_moves_its_landmarks_too():
@@ -233,15 +252,21 @@ def test_what_one_robot_learns_of_another_moves_its_landmarks_too():
             assert again.landmark.tolist() == [0]
 
 
-def test_a_sensor_that_errs_by_more_than_its_range_may_see_what_is_beyond():
-    sensor, still = watcher(2.0, 3.0), 1e-9 * np.eye(3)
+@pytest.mark.parametrize("errs", ["the sensor", "the map"])
+def test_what_stands_beyond_the_range_may_be_in_view_if_so_much_is_not_known(errs):
+    """And another landmark, behind, is nearer."""
+    precise, rough = watcher(2.0, 0.05), watcher(2.0, 3.0)
+    still, looks = 1e-9 * np.eye(3), 50 if errs == "the sensor" else 1
     for slam in both(Prior()):
-        for _ in range(50):
+        for _ in range(looks):
             slam.predict(np.zeros(3), still)
-            slam.observe(Sightings.of(sensor, [[1.0, 0.0]]))
-        assert len(slam.landmarks) == 1
-        slam.predict([-8.0, 0.0, 0.0], still)
-        again = slam.observe(Sightings.of(sensor, [[2.0, 0.0]]))
+            slam.observe(Sightings.of(rough, [[1.0, 0.0]]))
+        slam.predict([-14.0, 0.0, 0.0], still)
+        slam.observe(Sightings.of(precise, [[-1.0, 0.0]]))
+        assert len(slam.landmarks) == 2
+        slam.predict([6.0, 0.0, 0.0], still)  # 7 m from one, 9 m from the other
+        now = rough if errs == "the sensor" else precise
+        again = slam.observe(Sightings.of(now, [[2.0, 0.0]]))
         assert again.landmark.tolist() == [0]
 
 

@@ -174,20 +174,21 @@ def test_step_by_step_is_the_same_to_the_bit():
 def maps():
     """A map of two robots and five landmarks with three corrections waiting, and the same settled.
 
-    In both, room is left, and nothing below the diagonal counts.
+    In both, room is left, and something stands there.
     """
 
     def one(settled):
         random = np.random.default_rng(7)
-        slam = gaussian_map.GaussianMap([ekfslam.Prior()] * 2, landmarks=5, late=4)
+        slam = gaussian_map.GaussianMap([ekfslam.Prior()] * 2, landmarks=8, late=4)
         half, late = random.normal(size=(16, 16)), random.normal(size=(3, 16))
+        slam.arrays.late[:] = slam.arrays.covariance[:] = random.normal()
         late[:, :6] = 0.0
         whole = half @ half.T + 20.0 * np.eye(16) + late.T @ late
         slam.arrays.size[0] = 16
-        slam.arrays.mean[:] = random.normal(size=16)
-        slam.arrays.covariance[:] = np.triu(whole - late.T @ late * settled)
+        slam.arrays.mean[:16] = random.normal(size=16)
+        slam.arrays.covariance[:16, :16] = np.triu(whole - late.T @ late * settled)
         if not settled:
-            slam.arrays.late[:3] = late
+            slam.arrays.late[:3, :16] = late
             slam.arrays.held[0] = 3
         return slam
 
