@@ -68,6 +68,7 @@ def _subtract_square(P, W, m, n):  # type: ignore[no-untyped-def]
             P.ctypes.data,
             at + 12,
         )
+        size[0] = 0  # so that it lives until here
 
     return update
 
@@ -95,6 +96,7 @@ def _subtract_product(out, A, B, m, k, n):  # type: ignore[no-untyped-def]
             out.ctypes.data,
             at + 20,
         )
+        size[0] = 0  # so that it lives until here
 
     return update
 

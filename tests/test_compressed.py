@@ -96,9 +96,9 @@ def test_an_area_that_holds_all_never_needs_the_way_home(ways_home):
 
 
 def test_a_revisit_is_no_new_landmark(ways_home):
-    """Three laps of park, areas of ten: every landmark has left its area and come back."""
+    """Three laps of park, small areas: every landmark has left its area and come back."""
     estimate = EkfCompressed(area=10).estimate(drawn("park"))
-    assert ways_home[0] > 20
+    assert ways_home[0] > 10
     assert len(np.unique(estimate.landmarks.ids)) == len(estimate.landmarks)
     assert (estimate.innovations.decision == Decision.NEW).sum() == len(estimate.landmarks)
 
@@ -309,6 +309,48 @@ def test_all_landmarks_can_be_asked_for_one_by_one():
     for landmark in slams[1].landmarks.ids.tolist():
         for a, b in zip(*(slam.landmark(landmark) for slam in slams), strict=True):
             np.testing.assert_allclose(a, b, atol=EXACT)
+
+
+def test_where_all_may_be_seen_the_area_grows_instead_of_going_home_for_every_look(ways_home):
+    """A sensor of unlimited range without identities: every landmark is brought in, once."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-50, 50, (60, 2))
+    sensor = ekfslam.Sensor("xy", 0.01 * np.eye(2))
+    slam = EkfSlam(association="nearest", estimator="ekf-compressed", area=5)
+    slam.observe(ekfslam.Sightings.of(sensor, points))
+    for k in range(6):
+        slam.predict([0.1, 0.0, 0.0], 1e-4 * np.eye(3))
+        seen = points[:5] - [0.1 * (k + 1), 0.0]
+        assert set(slam.observe(ekfslam.Sightings.of(sensor, seen)).landmark) == set(range(5))
+    assert ways_home[0] <= 2
+
+
+def test_known_looks_larger_than_the_area_do_not_go_home_for_every_new_landmark(ways_home):
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-50, 50, (40, 2))
+    sensor = ekfslam.Sensor("xy", 0.01 * np.eye(2))
+    slam = EkfSlam(estimator="ekf-compressed", area=5)
+    for k in range(10, 40):  # each look has one more
+        slam.predict([0.0, 0.0, 0.0], 1e-6 * np.eye(3))
+        slam.observe(ekfslam.Sightings.of(sensor, points[:k], np.arange(k)))
+    assert ways_home[0] <= 6
+
+
+def test_a_generous_area_takes_no_memory_that_it_does_not_need():
+    dataset = drawn("loop-15")
+    assert_same(EkfCompressed(area=10**8).estimate(dataset), Ekf().estimate(dataset), EXACT)
+
+
+def test_reading_landmarks_does_not_fill_the_area():
+    dataset = city(120)
+    slam = EkfSlam(dataset.prior, estimator="ekf-compressed", area=15)
+    for step in list(dataset.steps())[:200]:
+        slam.predict(step.increment, step.covariance)
+        slam.observe(step.observations)
+    size = slam._engine.slam.size
+    for landmark in slam._names().tolist():
+        slam.landmark(landmark)
+    assert slam._engine.slam.size == size
 
 
 # Parts -------------------------------------------------------------------------------------------

@@ -21,6 +21,7 @@ from ekfslam.filters.local_map import (
     LEAVE,
     Area,
     Survey,
+    as_it_is,
     beyond,
     bring_in,
     carry,
@@ -34,7 +35,8 @@ from ekfslam.filters.options import KNOWN, MOST
 from ekfslam.filters.triangle import read_rows, write_rows
 from ekfslam.geometry import Array
 
-ROUNDING = 1e-9  # of a variance that is a difference of two
+ROUNDING = 1e-9  # of variances: what their difference, that of two near landmarks, is right to
+START = 512  # local coordinates that there is room for at first
 UNBOUNDED = int(np.iinfo(np.int64).max)
 
 
@@ -49,13 +51,15 @@ class CompressedEngine(Engine):
         super().__init__(priors, options, *arguments)
         self.settings = self.settings._replace(most=UNBOUNDED)
         self.whole = self.slam
-        full = 2 * self._poses + EACH * options.area
-        self.slam = GaussianMap(priors, full // POINT)  # where nothing waits, but BLAS is used
+        full = np.array([2 * self._poses + EACH * options.area], dtype=np.int64)
+        self.slam = GaussianMap(
+            priors, min(int(full[0]), START) // POINT
+        )  # where nothing waits, but BLAS is used
         nowhere = np.full(len(self.register.offsets), -1, dtype=np.int64)
-        carried, count = np.zeros(full, dtype=np.int64), np.zeros(1, dtype=np.int64)
+        carried = np.zeros(len(self.slam.arrays.mean), dtype=np.int64)
+        count = np.zeros(1, dtype=np.int64)
         self.area = Area(nowhere, carried, carried.copy(), count, full)
-        self._survey: Survey | None = None
-        self._surveyed = np.zeros(2)  # where the robot was
+        self._surveys: dict[int, tuple[Array, Survey]] = {}  # of each robot, and where it was then
         self._moved = 0.0  # NIS of all corrections since the last way home
         self._set_out()
 
@@ -73,7 +77,7 @@ class CompressedEngine(Engine):
         slam.size[0] = 2 * poses
         self.register.offsets[:] = -1
         self.area.carrying[0] = 0
-        self._survey, self._moved = None, 0.0
+        self._surveys, self._moved = {}, 0.0
         carry(self.area, poses, 0, poses)
 
     def come_home(self) -> None:
@@ -176,10 +180,12 @@ class CompressedEngine(Engine):
     def _approach(self, sightings: Sightings, first: int, last: int) -> None:
         missing, new = self._missing(sightings, first, last)
         size = self.slam.size + EACH * len(missing) + POINT * new
-        full = size > self.area.full and len(missing) + new > 0
-        if full and self.slam.size > 2 * self._poses:  # as in `run_locally`
-            self.come_home()
-            missing, new = self._missing(sightings, first, last)
+        if len(missing) + new > 0 and size > self.area.full[0]:  # as in `run_locally`
+            if self.slam.size > 2 * self._poses:
+                self.come_home()
+                missing, new = self._missing(sightings, first, last)
+                size = self.slam.size + EACH * len(missing)
+            self.area.full[0] = max(self.area.full[0], 2 * size)
         self.make_room(len(missing) + last - first)
         for index in missing:
             bring_in(index, *self._local)
@@ -190,21 +196,20 @@ class CompressedEngine(Engine):
             return beyond(sightings, first, last, self.register, self.area)
         limits, mount = sightings.limits[first], sightings.mount[first]
         robot = int(sightings.robot[first])
-        here = self.slam.mean[POSE * robot : POSE * robot + 2]
-        if self._survey is None or np.hypot(*(here - self._surveyed)) > limits[1]:
-            self._look_round(here)
-        if self._survey is None:
-            return np.zeros(0, dtype=np.int64), last - first
+        here = self.slam.mean[POSE * robot : POSE * robot + 2].copy()
+        which = np.flatnonzero(self.area.home >= 0)
+        if not len(which):
+            return which, last - first
+        known = self._surveys.get(robot)
+        if known is None or np.hypot(*(here - known[0])) > limits[1]:
+            known = self._surveys[robot] = here, self._look_round(which, here)
         noise = widest(sightings, first, last)
         local = *self._local, robot, mount, limits, noise
-        return within_reach(self._survey, self._moved, *local), last - first
+        return within_reach(known[1], self._moved, *local), last - first
 
-    def _look_round(self, here: Array) -> None:
+    def _look_round(self, which: np.ndarray, here: Array) -> Survey:
         """What is known of the whole map, relative to a landmark near to a place."""
         home = self.area.home
-        which = np.flatnonzero(home >= 0)
-        if not len(which):
-            return
         P, at = self.whole.arrays.covariance, home[which]
         positions = self.whole.mean[at[:, None] + np.arange(POINT)]
         anchor = int(which[np.argmin(((positions - here) ** 2).sum(axis=1))])
@@ -218,14 +223,13 @@ class CompressedEngine(Engine):
         shared = rows[0, at] + rows[1, at + 1]
         apart = variances + variances[which == anchor] - 2.0 * shared
         apart = np.sqrt(np.maximum(apart, 0.0) + ROUNDING * variances)
-        self._survey = Survey(which, positions, variances, anchor, apart)
-        self._surveyed = here.copy()
+        return Survey(which, positions, variances, anchor, apart)
 
     def _use(
         self, sightings: Sightings, first: int, last: int, k: int, log: Log, journal: Journal
     ) -> float:
         nis = super()._use(sightings, first, last, k, log, journal)
-        self._moved += nis
+        self._moved += np.inf if np.isnan(nis) else nis  # a look that failed may have begun
         return nis
 
     # The map ------------------------------------------------------------------------------------
@@ -235,11 +239,12 @@ class CompressedEngine(Engine):
         return self.whole, self.area.home
 
     def landmark(self, index: int) -> tuple[Array, Array]:
-        """As of `Engine`: it is brought into the area."""
-        if self.register.offsets[index] < 0:
-            self.make_room(1)
-            bring_in(index, *self._local)
-        return super().landmark(index)
+        """As of `Engine`."""
+        if self.register.offsets[index] >= 0:
+            return super().landmark(index)
+        slam, _, whole, area = self._local
+        place, covariance, _ = as_it_is(index, slam, whole, area)
+        return place, covariance
 
     def knows(self, index: int) -> bool:
         """As of `Engine`."""

@@ -4,8 +4,9 @@ A correction takes ``W' W`` from the covariance, W of as many rows as were obser
 each sighting of a point, most of which nothing reads before the next correction changes them again.
 So the rows W wait as further rows of U. What the filter reads is made exact: the rows of the poses
 are corrected at once, and to the rows of landmarks that are observed ``U' U`` is applied as they
-are read. When U is full the whole map is brought up to date by one symmetric rank-k update, which
-runs at the speed of BLAS. Nothing is approximated.
+are read; U is zero in the columns of the poses, so that motions and new landmarks need no more.
+When U is full the whole map is brought up to date by one symmetric rank-k update, which runs at the
+speed of BLAS. Nothing is approximated.
 """
 
 from __future__ import annotations
@@ -27,7 +28,11 @@ def delays(slam, most, settings):  # type: ignore[no-untyped-def]
 
 @inlined
 def room(slam):  # type: ignore[no-untyped-def]
-    """How many rows may wait: reading them costs more the longer they do."""
+    """How many rows may wait.
+
+    A row that waits costs 2 n flops with every one that is read, and saves a pass over the n^2 / 2
+    entries of the map: on a small map fewer pay.
+    """
     return min(slam.late.shape[0], max(32, slam.size[0] // 16))
 
 

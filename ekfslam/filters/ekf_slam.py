@@ -157,8 +157,6 @@ def update(slam, register, sightings, first, last, settings, log, other):  # typ
     S, z = np.empty((most, most)), np.empty(most)
     waits, large = delays(slam, most, settings), n >= settings.delay_from
     rows = np.empty((0 if waits else most, n))
-    if large and not waits:
-        bring_up_to_date(slam)
     while start < last:
         if waits:
             if slam.held[0] + most > room(slam):

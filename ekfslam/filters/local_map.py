@@ -10,8 +10,9 @@ coordinates c, one for each of A, with cov(a, c) = Phi, cov(c, c) = -Psi and mea
 never observed. So the local map is an ordinary map of (a, c), and the filter runs on it as it is.
 
 A landmark of B enters A when it is seen: as far as A is concerned it is ``x(0) + P(0) c`` plus an
-error of its own, which is landmark initialization, with the carried coordinates for the pose. Thus
-an area is what has been seen since the last way home, whatever the path.
+error of its own, which is landmark initialization, with the carried coordinates for the pose; from
+then on it carries, too, by coordinates that start as its copy. Thus an area is what has been seen
+since the last way home, whatever the path.
 """
 
 from __future__ import annotations
@@ -48,15 +49,15 @@ class Area(NamedTuple):
         Coordinate of the whole map that each is of.
     carrying : (1,) ndarray of int
         How many there are.
-    full : int
-        Local coordinates from which on nothing more is brought in.
+    full : (1,) ndarray of int
+        Local coordinates beyond which nothing more is brought in; grows with the largest look.
     """
 
     home: np.ndarray
     carried: np.ndarray
     origin: np.ndarray
     carrying: np.ndarray
-    full: int
+    full: np.ndarray
 
 
 @compiled
@@ -81,9 +82,10 @@ def run_locally(  # type: ignore[no-untyped-def]
         if settings.method == KNOWN:
             missing, new = beyond(sightings, first, last, register, area)
             size, poses = slam.size[0] + EACH * missing.size, POSE * settings.robots
-            full = size + POINT * new > area.full and missing.size + new > 0
-            if full and slam.size[0] > 2 * poses:  # a look that is too large has no better place
-                return k, LEAVE
+            if missing.size + new > 0 and size + POINT * new > area.full[0]:
+                if slam.size[0] > 2 * poses:
+                    return k, LEAVE
+                area.full[0] = 2 * size  # a look that is too large has no better place
             if size + POINT * (last - first) + poses > slam.mean.size:
                 return k, GROW
             for index in missing:
@@ -167,19 +169,19 @@ def within_reach(survey, moved, slam, register, whole, area, robot, mount, limit
     """
     mean, P, pose, most = slam.mean, slam.covariance, POSE * robot, math.sqrt(moved)
     w, found, n = np.zeros((POINT, slam.size[0])), np.empty(survey.which.size, np.int64), 0
-    x, y, anchor = 0.0, 0.0, area.home[survey.anchor]
+    anchor = area.home[survey.anchor]
     x = mean[register.offsets[survey.anchor]] - whole.mean[anchor]
     y = mean[register.offsets[survey.anchor] + 1] - whole.mean[anchor + 1]
     for k in range(survey.which.size):
-        index, own = survey.which[k], survey.variances[k]
+        index, own, apart = survey.which[k], survey.variances[k], survey.apart[k]
+        if register.offsets[index] >= 0:
+            continue
         here = survey.positions[k, 0] + x, survey.positions[k, 1] + y
         # Nearer to the sensor than this it cannot be; the farther, the less likely is it in view.
         distance, _, _ = seen_from(mean, P, pose, mount, here[0], here[1], own)
-        distance = max(distance - most * survey.apart[k], 0.0)
+        distance = max(distance - most * apart, 0.0) if apart > 0.0 else distance
         sigma = uncertainty(P, pose, distance, own)
         if out_of_range(P, pose, distance, SURE * (sigma + noise), limits):
-            continue
-        if register.offsets[index] >= 0:
             continue
         at = area.home[index]
         for a in range(POINT):
@@ -211,19 +213,37 @@ def ties(index, whole, area, w, coordinate):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def bring_in(index, slam, register, whole, area):  # type: ignore[no-untyped-def]
-    """A landmark of the whole map enters the local one, and carries from now on, O(n^2) locally."""
+def as_it_is(index, slam, whole, area):  # type: ignore[no-untyped-def]
+    """A landmark beyond the area, as it is now, O(n^2) locally.
+
+    Returns
+    -------
+    (2,) ndarray, (2, 2) ndarray, (2, n) ndarray
+        Mean, covariance, and covariance with the local coordinates.
+    """
     n, at = slam.size[0], area.home[index]
-    mean, P = slam.mean, slam.covariance
     w, rows = np.zeros((POINT, n)), np.zeros((POINT, n))
+    place, own = np.empty(POINT), np.empty((POINT, POINT))
     for a in range(POINT):
         ties(index, whole, area, w[a], a)
-    times_symmetric(P, n, w, rows)
+    times_symmetric(slam.covariance, n, w, rows)
     for a in range(POINT):
-        mean[n + a] = whole.mean[at + a] + w[a] @ mean[:n]
-        mean[n + POINT + a] = 0.0
+        place[a] = whole.mean[at + a] + w[a] @ slam.mean[:n]
         for b in range(a, POINT):
-            P[n + a, n + b] = whole.covariance[at + a, at + b] + rows[a] @ w[b]
+            own[a, b] = own[b, a] = whole.covariance[at + a, at + b] + rows[a] @ w[b]
+    return place, own, rows
+
+
+@compiled
+def bring_in(index, slam, register, whole, area):  # type: ignore[no-untyped-def]
+    """A landmark of the whole map enters the local one, and carries from now on."""
+    n, at = slam.size[0], area.home[index]
+    mean, P = slam.mean, slam.covariance
+    place, own, rows = as_it_is(index, slam, whole, area)
+    for a in range(POINT):
+        mean[n + a], mean[n + POINT + a] = place[a], 0.0
+        for b in range(a, POINT):
+            P[n + a, n + b] = own[a, b]
         for b in range(POINT):
             P[n + a, n + POINT + b] = 1.0 if a == b else 0.0
             P[n + POINT + a, n + POINT + b] = 0.0
