@@ -89,13 +89,13 @@ def has_room(slam, register, rows, settings):  # type: ignore[no-untyped-def]
 @inlined
 def write_step(slam, k, settings, log):  # type: ignore[no-untyped-def]
     """Note poses and covariances of a step."""
+    mean, P, poses, covariances = slam.mean, slam.covariance, log.poses, log.covariances
     for robot in range(settings.robots):
         at = POSE * robot
-        log.poses[robot, k] = slam.mean[at : at + POSE]
         for i in range(POSE):
+            poses[robot, k, i] = mean[at + i]
             for j in range(i, POSE):
-                value = slam.covariance[at + i, at + j]
-                log.covariances[robot, k, i, j] = log.covariances[robot, k, j, i] = value
+                covariances[robot, k, i, j] = covariances[robot, k, j, i] = P[at + i, at + j]
     if log.dof[k] == 0:
         log.nis[k] = np.nan
 

@@ -72,6 +72,50 @@ def add_rows(P, n, at, size, weights, out):  # type: ignore[no-untyped-def]
                 tail[j] += w0 * row0[j]
 
 
+@compiled
+def add_both_rows(P, n, at, size, H, first, one, two):  # type: ignore[no-untyped-def]
+    """`add_rows` with two weightings at once, for two or three coordinates.
+
+    Parameters
+    ----------
+    P, n, at, size
+        As for `add_rows`.
+    H : (2, >= first + size) ndarray
+        The weights begin at column `first`.
+    first : int
+    one, two : (>= n,) ndarray
+        Added to, up to n.
+    """
+    stop = at + size
+    for c in range(size):
+        for e in range(size):
+            entry = P[at + min(c, e), at + max(c, e)]
+            one[at + e] += H[0, first + c] * entry
+            two[at + e] += H[1, first + c] * entry
+    tail_one, tail_two = one[stop:n], two[stop:n]
+    u0, u1, v0, v1 = H[0, first], H[0, first + 1], H[1, first], H[1, first + 1]
+    row0, row1 = P[at, stop:n], P[at + 1, stop:n]
+    if size == 2:
+        for j in range(at):
+            x, y = P[j, at], P[j, at + 1]
+            one[j] += u0 * x + u1 * y
+            two[j] += v0 * x + v1 * y
+        for j in range(tail_one.size):
+            x, y = row0[j], row1[j]
+            tail_one[j] += u0 * x + u1 * y
+            tail_two[j] += v0 * x + v1 * y
+    else:
+        u2, v2, row2 = H[0, first + 2], H[1, first + 2], P[at + 2, stop:n]
+        for j in range(at):
+            x, y, z = P[j, at], P[j, at + 1], P[j, at + 2]
+            one[j] += u0 * x + u1 * y + u2 * z
+            two[j] += v0 * x + v1 * y + v2 * z
+        for j in range(tail_one.size):
+            x, y, z = row0[j], row1[j], row2[j]
+            tail_one[j] += u0 * x + u1 * y + u2 * z
+            tail_two[j] += v0 * x + v1 * y + v2 * z
+
+
 # Robot motion -----------------------------------------------------------------------------------
 
 
@@ -164,13 +208,14 @@ def project(P, n, pose, at, size, H, d, rows):  # type: ignore[no-untyped-def]
         Written, up to column n.
     """
     for a in range(d):
-        out = rows[a]
-        out[:n] = 0.0
-        add_rows(P, n, pose, 3, H[a, :3], out)
-        if size == 2:  # known to the compiler, which unrolls
-            add_rows(P, n, at, 2, H[a, 3:], out)
-        else:
-            add_rows(P, n, at, size, H[a, 3:], out)
+        rows[a, :n] = 0.0
+    if d == 2 and size == 2:  # the usual case: P is read once for both
+        add_both_rows(P, n, pose, 3, H, 0, rows[0], rows[1])
+        add_both_rows(P, n, at, 2, H, 3, rows[0], rows[1])
+        return
+    for a in range(d):
+        add_rows(P, n, pose, 3, H[a, :3], rows[a])
+        add_rows(P, n, at, size, H[a, 3:], rows[a])
 
 
 @compiled
@@ -239,29 +284,48 @@ def downdate(P, W, m, n):  # type: ignore[no-untyped-def]
     Parameters
     ----------
     P : (capacity, capacity) ndarray
+        Rows are changed two at a time, to read W less often.
     W : (>= m, >= n) ndarray
         Rows enter four, then two at a time, to read and write P less often.
     """
     for i in range(n):
-        row = P[i, i:n]
+        square = 0.0
+        for k in range(m):
+            square += W[k, i] * W[k, i]
+        P[i, i] -= square
+    for i in range(0, n - 1, 2):
+        cross = 0.0
+        for k in range(m):
+            cross += W[k, i] * W[k, i + 1]
+        P[i, i + 1] -= cross
+        upper, lower = P[i, i + 2 : n], P[i + 1, i + 2 : n]
         k = 0
         while k + 4 <= m:
             w0, w1, w2, w3 = W[k, i:n], W[k + 1, i:n], W[k + 2, i:n], W[k + 3, i:n]
             a0, a1, a2, a3 = w0[0], w1[0], w2[0], w3[0]
-            for j in range(row.size):
-                row[j] -= a0 * w0[j] + a1 * w1[j] + a2 * w2[j] + a3 * w3[j]
+            b0, b1, b2, b3 = w0[1], w1[1], w2[1], w3[1]
+            w0, w1, w2, w3 = w0[2:], w1[2:], w2[2:], w3[2:]
+            for j in range(upper.size):
+                x, y, z, u = w0[j], w1[j], w2[j], w3[j]
+                upper[j] -= a0 * x + a1 * y + a2 * z + a3 * u
+                lower[j] -= b0 * x + b1 * y + b2 * z + b3 * u
             k += 4
         while k + 2 <= m:
             w0, w1 = W[k, i:n], W[k + 1, i:n]
-            a0, a1 = w0[0], w1[0]
-            for j in range(row.size):
-                row[j] -= a0 * w0[j] + a1 * w1[j]
+            a0, a1, b0, b1 = w0[0], w1[0], w0[1], w1[1]
+            w0, w1 = w0[2:], w1[2:]
+            for j in range(upper.size):
+                x, y = w0[j], w1[j]
+                upper[j] -= a0 * x + a1 * y
+                lower[j] -= b0 * x + b1 * y
             k += 2
         if k < m:
             last = W[k, i:n]
-            factor = last[0]
-            for j in range(row.size):
-                row[j] -= factor * last[j]
+            a0, b0 = last[0], last[1]
+            last = last[2:]
+            for j in range(upper.size):
+                upper[j] -= a0 * last[j]
+                lower[j] -= b0 * last[j]
 
 
 @compiled
