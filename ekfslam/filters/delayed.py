@@ -23,7 +23,7 @@ ROWS = 128  # that wait at most: on small maps fewer pay
 @inlined
 def delays(slam, most, settings):  # type: ignore[no-untyped-def]
     """Whether a correction by at most so many rows is to wait."""
-    return most <= room(slam) and slam.size[0] >= settings.delay_from
+    return slam.size[0] >= settings.delay_from and most <= room(slam)
 
 
 @inlined
@@ -43,6 +43,23 @@ def bring_up_to_date(slam):  # type: ignore[no-untyped-def]
     if held > 0:
         subtract_square(slam.covariance, slam.late, held, n)
         slam.held[0] = 0
+
+
+@compiled
+def next_rows(slam, most):  # type: ignore[no-untyped-def]
+    """Where up to so many rows W of a correction are to stand."""
+    if slam.held[0] + most > room(slam):
+        bring_up_to_date(slam)
+    return slam.late[slam.held[0] :]
+
+
+@compiled
+def reduce_large(slam, W, m, poses, waits):  # type: ignore[no-untyped-def]
+    """``P -= W' W`` on a large map, at once or later."""
+    if waits:
+        keep(slam, m, poses)
+    else:
+        subtract_square(slam.covariance, W, m, slam.size[0])
 
 
 @compiled

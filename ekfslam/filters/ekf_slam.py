@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekfslam.blas import subtract_square
 from ekfslam.compiled import compiled, inlined, now
 from ekfslam.estimates import Decision
-from ekfslam.filters.delayed import bring_up_to_date, delays, exact_rows, keep, room
+from ekfslam.filters.delayed import delays, exact_rows, next_rows, reduce_large
 from ekfslam.filters.initiation import extend
 from ekfslam.filters.kernels import downdate, move, project, solve, times_transposed
 from ekfslam.filters.measure import BANKED, POINT, POSE, foresee, moved, placed, rows_of
@@ -155,13 +154,12 @@ def update(slam, register, sightings, first, last, settings, log, other):  # typ
     together = accepted if settings.joint else 1
     most, step = d * together, np.empty(n)
     S, z = np.empty((most, most)), np.empty(most)
-    waits, large = delays(slam, most, settings), n >= settings.delay_from
+    large = n >= settings.delay_from
+    waits = large and delays(slam, most, settings)
     rows = np.empty((0 if waits else most, n))
     while start < last:
         if waits:
-            if slam.held[0] + most > room(slam):
-                bring_up_to_date(slam)
-            rows = slam.late[slam.held[0] :]
+            rows = next_rows(slam, most)
         stop, m, nis = last if settings.joint else start + 1, 0, 0.0
         for iteration in range(settings.iterations):
             again = iteration > 0
@@ -197,10 +195,8 @@ def update(slam, register, sightings, first, last, settings, log, other):  # typ
             break
         if m > 0:
             retract(variant, slam.mean, step, n, settings.poses)
-            if waits:
-                keep(slam, m, POSE * settings.poses)
-            elif large:
-                subtract_square(slam.covariance, rows, m, n)
+            if large:
+                reduce_large(slam, rows, m, POSE * settings.poses, waits)
             else:
                 downdate(slam.covariance, rows, m, n)
         start = stop
@@ -282,7 +278,7 @@ def stack(  # type: ignore[no-untyped-def]
             used[index] += 1
             rejections[index] = 0
         m += 1
-    if slam.held[0] > 0:
+    if n >= settings.delay_from and slam.held[0] > 0:
         exact_rows(slam.late, slam.held[0], n, H, places, sizes, m, d, rows)
     for k in range(m):
         i = which[k]
