@@ -162,6 +162,7 @@ MANY = dict.fromkeys(SIZES, 200)
 """Steps of the fast: many map updates at any size, so that one that is pending counts little."""
 LARGE = 1000  # landmarks of a map that may be updated between the steps
 LOCAL = dict.fromkeys((1000, 2000, 5000), 800)
+TWO_THREADS = "ekf, 2 threads"  # at the largest size alone, for the record
 FAMILY = ("iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
 
 
@@ -175,6 +176,7 @@ def on_the_ring(size: int) -> list[Contender]:
     filterpy = {20: 60, 100: 20, 300: 4, 1000: 1}
     everyone = [
         ours("ekf", MANY, size),
+        ours("ekf(threads=2)", {5000: MANY[5000]}, size)._replace(name=TWO_THREADS),
         *(ours(name, family, size) for name in FAMILY),
         smoother(MANY),
         Contender("textbook, sequential", partial(by_step, Textbook), sequential, "sequential"),

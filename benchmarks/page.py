@@ -35,7 +35,7 @@ def tables(root: Path) -> dict[str, str]:
     folder = root / "results" / "bench"
     speed = pd.read_csv(folder / "speed.csv")
     times = folder / "map-size.csv"
-    sizes = by_size(pd.read_csv(times)) if times.exists() else []
+    sizes = by_size(pd.read_csv(times, dtype={"note": object})) if times.exists() else []
     short = speed[speed.what.isin(SHORT)].assign(what=lambda rows: rows.what.map(SHORT))
     return {
         "docs/speed.md": "\n".join([*sizes, *ratios(speed)]),

@@ -106,10 +106,10 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def one_thread() -> AbstractContextManager:
-    """While inside, BLAS works on one thread.
+def on_threads(count: int = 1) -> AbstractContextManager:
+    """While inside, BLAS works on so many threads.
 
-    Workers then do not take each other's cores, and the last bit of a sum does not depend on how
-    many cores there are.
+    On one, the default, workers do not take each other's cores, and the last bit of a sum does not
+    depend on how many cores there are.
     """
-    return _controller().limit(limits=1, user_api="blas")
+    return _controller().limit(limits=count, user_api="blas")

@@ -49,7 +49,7 @@ def test_how_rows_lie_in_memory_does_not_change_a_bit(rng):
     for room in (0, 1, 37):
         P, rows = np.zeros((n + room, n + room)), np.zeros((m, n + room))
         P[:n, :n], rows[:, :n] = triangle, W
-        with blas.one_thread():
+        with blas.on_threads():
             square(P, rows, m, n)
         results.append(np.triu(P[:n, :n]))
     np.testing.assert_array_equal(results[0], results[1])
@@ -61,6 +61,8 @@ def test_one_thread_is_one_thread_and_afterwards_as_before():
         return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
 
     before = threads()
-    with blas.one_thread():
+    with blas.on_threads():
         assert set(threads()) == {1}
+    with blas.on_threads(2):
+        assert set(threads()) == {2}
     assert threads() == before

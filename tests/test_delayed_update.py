@@ -231,6 +231,14 @@ def test_a_map_is_surrendered_in_the_order_that_is_asked_for(maps):
         np.testing.assert_allclose(slam.surrendered(order), expected, rtol=1e-9, atol=1e-9)
 
 
+def test_two_threads_say_the_same_but_for_rounding():
+    dataset = drawn("park")
+    one, two = Ekf().estimate(dataset), Ekf(threads=2).estimate(dataset)
+    assert_same(two, one)
+    with pytest.raises(InputError, match="threads must be a whole number from 1 on, got 0"):
+        Ekf(threads=0)
+
+
 # Memory ------------------------------------------------------------------------------------------
 
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ekfslam.blas import one_thread
+from ekfslam.blas import on_threads
 from ekfslam.compiled import now, prepare
 from ekfslam.dataset import Sightings
 from ekfslam.errors import InputError
@@ -88,7 +88,7 @@ class CompressedEngine(Engine):
         n, here, there = whole.size, *self._places()
         size = max(n, int(there[-1]) + 1)  # the newest landmark comes last
         before, after = np.empty((count, n)), np.empty((len(here), size))
-        with one_thread():
+        with on_threads(self.threads):
             read_rows(whole.arrays.covariance, n, origin, before)
             rest = square_root(-local[np.ix_(carried, carried)]).T @ before
             reduce_rest(whole.arrays.covariance, n, rest)

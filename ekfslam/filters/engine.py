@@ -9,7 +9,7 @@ import numpy as np
 
 from ekfslam.association.assignment import global_nearest_neighbour
 from ekfslam.association.nearest import NEW as NEW_LANDMARK
-from ekfslam.blas import one_thread
+from ekfslam.blas import on_threads
 from ekfslam.compiled import now, prepare
 from ekfslam.dataset import Prior, Sightings
 from ekfslam.errors import UnsupportedError
@@ -97,6 +97,7 @@ class Engine:
         settings = options.settings(association, kinds, landmarks, len(priors))
         settings = settings._replace(plain=settings.plain and not noted)
         self.settings, self.association = settings, association
+        self.threads = int(options.threads)
         # None is a type of its own: what is compiled for it knows nothing of the family.
         self.other = None if settings.variant == EKF else True
         room = landmarks or LANDMARKS
@@ -223,7 +224,7 @@ class Engine:
         That is `DONE`, or `INDEFINITE` where an innovation covariance was not positive definite.
         """
         why = DONE
-        with one_thread():
+        with on_threads(self.threads):
             while start < stop:
                 start, why = self._plainly(start, stop, moves, offsets, sightings, log)
                 if why == GROW:
@@ -273,7 +274,7 @@ class Engine:
     def observe(self, sightings: Sightings, log: Log) -> bool:
         """All observations of one step; whether innovation covariances were positive definite."""
         log.nis[0] = 0.0
-        with one_thread():
+        with on_threads(self.threads):
             return self._observe(sightings, 0, len(sightings.values), 0, log, Journal.of(0))
 
     def _observe(
@@ -422,7 +423,7 @@ class Engine:
 
     def delete(self, index: int) -> None:
         """Take a landmark out of the map, by its register index."""
-        with one_thread():
+        with on_threads(self.threads):
             delete(self.state, index)
 
     @property

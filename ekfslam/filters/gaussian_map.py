@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ekfslam.blas import one_thread
+from ekfslam.blas import on_threads
 from ekfslam.checks import check_fits
 from ekfslam.dataset import Prior
 from ekfslam.errors import EkfslamError, InputError
@@ -96,7 +96,7 @@ class GaussianMap:
 
     def settle(self) -> None:
         """Bring the covariance up to date with corrections that wait."""
-        with one_thread():
+        with on_threads():
             bring_up_to_date(self.arrays)
 
     def block(self, offset: int, size: int) -> Array:

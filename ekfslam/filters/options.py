@@ -165,6 +165,9 @@ class Options:
         Rows of corrections that may wait before the whole map is updated, see
         `ekfslam.filters.delayed`; 0 for none. By default as many as pay on a map of its size. The
         estimate is the same but for rounding.
+    threads : int
+        Of BLAS, which updates a large map; 1 by default, so that runs side by side leave each other
+        their cores. With another number the last bits of an estimate may differ.
 
     Raises
     ------
@@ -195,6 +198,7 @@ class Options:
     forget: int = 0
     corrupt: int = 0
     delay: int | None = None
+    threads: int = 1
     variant = EKF  # of the family, no option: every filter of `ekfslam.filters.family` has its own
     points_only = False  # whether sensors must determine a point, no option either
 
@@ -232,6 +236,7 @@ class Options:
             ("hypotheses", 3),
             ("forget", 0),
             ("corrupt", 0),
+            ("threads", 1),
         ):
             value = getattr(self, name)
             whole = isinstance(value, int | np.integer) and not isinstance(value, bool)

@@ -106,7 +106,7 @@ _OTHERS = tuple(
 
 
 # Options that say how much is computed, not how.
-_SAME = re.compile(r"(marginals|marginal_every|seed)=[^,()]*(, )?")
+_SAME = re.compile(r"(marginals|marginal_every|seed|delay|threads|area)=[^,()]*(, )?")
 _METHOD = re.compile(r"ekf-([\w-]+)|ekf\((?:.*, *)?association=([\w-]+).*\)")
 
 
