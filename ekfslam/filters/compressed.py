@@ -52,7 +52,7 @@ class CompressedEngine(Engine):
         self.settings = self.settings._replace(most=UNBOUNDED)
         self.whole = self.slam
         full = np.array([2 * self._poses + EACH * options.area], dtype=np.int64)
-        # No correction waits here, since what enters the area reads all of it; BLAS is used even so.
+        # No correction waits here: what enters the area reads all of it. BLAS is used even so.
         self.slam = GaussianMap(priors, min(int(full[0]), START) // POINT)
         nowhere = np.full(len(self.register.offsets), -1, dtype=np.int64)
         carried = np.zeros(len(self.slam.arrays.mean), dtype=np.int64)
