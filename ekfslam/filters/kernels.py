@@ -284,48 +284,29 @@ def downdate(P, W, m, n):  # type: ignore[no-untyped-def]
     Parameters
     ----------
     P : (capacity, capacity) ndarray
-        Rows are changed two at a time, to read W less often.
     W : (>= m, >= n) ndarray
         Rows enter four, then two at a time, to read and write P less often.
     """
     for i in range(n):
-        square = 0.0
-        for k in range(m):
-            square += W[k, i] * W[k, i]
-        P[i, i] -= square
-    for i in range(0, n - 1, 2):
-        cross = 0.0
-        for k in range(m):
-            cross += W[k, i] * W[k, i + 1]
-        P[i, i + 1] -= cross
-        upper, lower = P[i, i + 2 : n], P[i + 1, i + 2 : n]
+        row = P[i, i:n]
         k = 0
         while k + 4 <= m:
             w0, w1, w2, w3 = W[k, i:n], W[k + 1, i:n], W[k + 2, i:n], W[k + 3, i:n]
             a0, a1, a2, a3 = w0[0], w1[0], w2[0], w3[0]
-            b0, b1, b2, b3 = w0[1], w1[1], w2[1], w3[1]
-            w0, w1, w2, w3 = w0[2:], w1[2:], w2[2:], w3[2:]
-            for j in range(upper.size):
-                x, y, z, u = w0[j], w1[j], w2[j], w3[j]
-                upper[j] -= a0 * x + a1 * y + a2 * z + a3 * u
-                lower[j] -= b0 * x + b1 * y + b2 * z + b3 * u
+            for j in range(row.size):
+                row[j] -= a0 * w0[j] + a1 * w1[j] + a2 * w2[j] + a3 * w3[j]
             k += 4
         while k + 2 <= m:
             w0, w1 = W[k, i:n], W[k + 1, i:n]
-            a0, a1, b0, b1 = w0[0], w1[0], w0[1], w1[1]
-            w0, w1 = w0[2:], w1[2:]
-            for j in range(upper.size):
-                x, y = w0[j], w1[j]
-                upper[j] -= a0 * x + a1 * y
-                lower[j] -= b0 * x + b1 * y
+            a0, a1 = w0[0], w1[0]
+            for j in range(row.size):
+                row[j] -= a0 * w0[j] + a1 * w1[j]
             k += 2
         if k < m:
             last = W[k, i:n]
-            a0, b0 = last[0], last[1]
-            last = last[2:]
-            for j in range(upper.size):
-                upper[j] -= a0 * last[j]
-                lower[j] -= b0 * last[j]
+            factor = last[0]
+            for j in range(row.size):
+                row[j] -= factor * last[j]
 
 
 @compiled
