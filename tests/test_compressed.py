@@ -336,6 +336,27 @@ def test_known_looks_larger_than_the_area_do_not_go_home_for_every_new_landmark(
     assert ways_home[0] <= 6
 
 
+@pytest.mark.parametrize("association", ["known", "nearest"])
+def test_many_landmarks_seen_once_do_not_make_the_area_smaller_or_larger(association, ways_home):
+    """A survey of all, then a few at a time: the next look leaves the survey's area behind."""
+    rng = np.random.default_rng(2)
+    points = rng.uniform(-50, 50, (200, 2))
+    near = np.flatnonzero(np.hypot(*points.T) < 10.0)
+    survey = ekfslam.Sensor("xy", 1e-4 * np.eye(2))
+    laser = ekfslam.Sensor("xy", 1e-4 * np.eye(2), max_range=10.5, name="laser")
+    slam = EkfSlam(association=association, estimator="ekf-compressed", area=20)
+    full = int(slam._engine.area.full[0])
+    known = association == "known"
+    slam.observe(ekfslam.Sightings.of(survey, points, np.arange(200) if known else None))
+    for _ in range(5):
+        slam.predict([0.0, 0.0, 0.0], 1e-6 * np.eye(3))
+        slam.observe(ekfslam.Sightings.of(laser, points[near], near if known else None))
+    assert slam._engine.area.full[0] == full
+    assert slam._engine.slam.size <= full
+    assert ways_home[0] == 1
+    assert len(slam.landmarks) == 200
+
+
 def test_a_generous_area_takes_no_memory_that_it_does_not_need():
     dataset = drawn("loop-15")
     assert_same(EkfCompressed(area=10**8).estimate(dataset), Ekf().estimate(dataset), EXACT)

@@ -25,6 +25,7 @@ from ekfslam.filters.local_map import (
     beyond,
     bring_in,
     carry,
+    fits,
     reduce_rest,
     run_locally,
     square_root,
@@ -177,20 +178,17 @@ class CompressedEngine(Engine):
         return start, why
 
     def _approach(self, sightings: Sightings, first: int, last: int) -> None:
-        missing, new = self._missing(sightings, first, last)
-        size = self.slam.size + EACH * len(missing) + POINT * new
-        if len(missing) + new > 0 and size > self.area.full[0]:  # as in `run_locally`
-            if self.slam.size > 2 * self._poses:
-                self.come_home()
-                missing, new = self._missing(sightings, first, last)
-                size = self.slam.size + EACH * len(missing)
-            self.area.full[0] = max(self.area.full[0], 2 * size)
+        missing = self._missing(sightings, first, last)
+        if not fits(self.slam.size + EACH * len(missing), self.area, False):
+            self.come_home()
+            missing = self._missing(sightings, first, last)
+            fits(self.slam.size + EACH * len(missing), self.area, True)
         self.make_room(len(missing) + last - first)
         for index in missing:
             bring_in(index, *self._local)
 
-    def _missing(self, sightings: Sightings, first: int, last: int) -> tuple[np.ndarray, int]:
-        """Landmarks beyond the area that a look shows, or may; and how many are new, or may be."""
+    def _missing(self, sightings: Sightings, first: int, last: int) -> np.ndarray:
+        """Landmarks beyond the area that a look shows, or may, by register index."""
         if self.settings.method == KNOWN:
             return beyond(sightings, first, last, self.register, self.area)
         limits, mount = sightings.limits[first], sightings.mount[first]
@@ -198,13 +196,13 @@ class CompressedEngine(Engine):
         here = self.slam.mean[POSE * robot : POSE * robot + 2].copy()
         which = np.flatnonzero(self.area.home >= 0)
         if not len(which):
-            return which, last - first
+            return which
         known = self._surveys.get(robot)
         if known is None or np.hypot(*(here - known[0])) > limits[1]:
             known = self._surveys[robot] = here, self._look_round(which, here)
         noise = widest(sightings, first, last)
         local = *self._local, robot, mount, limits, noise
-        return within_reach(known[1], self._moved, *local), last - first
+        return within_reach(known[1], self._moved, *local)
 
     def _look_round(self, which: np.ndarray, here: Array) -> Survey:
         """What is known of the whole map, relative to a landmark near to a place."""

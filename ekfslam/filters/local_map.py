@@ -80,12 +80,10 @@ def run_locally(  # type: ignore[no-untyped-def]
     for k in range(start, stop):
         begin, first, last = now(), offsets[k], offsets[k + 1]
         if settings.method == KNOWN:
-            missing, new = beyond(sightings, first, last, register, area)
+            missing = beyond(sightings, first, last, register, area)
             size, poses = slam.size[0] + EACH * missing.size, POSE * settings.robots
-            if missing.size + new > 0 and size + POINT * new > area.full[0]:
-                if slam.size[0] > 2 * poses:
-                    return k, LEAVE
-                area.full[0] = 2 * size  # a look that is too large has no better place
+            if not fits(size, area, slam.size[0] == 2 * poses):
+                return k, LEAVE
             if size + POINT * (last - first) + poses > slam.mean.size:
                 return k, GROW
             for index in missing:
@@ -99,26 +97,30 @@ def run_locally(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def beyond(sightings, first, last, register, area):  # type: ignore[no-untyped-def]
-    """Landmarks that are seen and stand in the whole map alone, by register index.
+def fits(size, area, empty):  # type: ignore[no-untyped-def]
+    """Whether a look that needs a local map of some size can be taken before the way home.
 
-    Returns
-    -------
-    (m,) ndarray of int, int
-        And how many sightings are of landmarks that stand in neither map.
+    New landmarks do not count before they are there: they enter whichever map there is. A look that
+    is too large for an empty area makes it larger, or every look like it would ask for the way
+    home.
     """
-    missing = np.empty(last - first, np.int64)
-    count, new = 0, 0
+    if empty and size > area.full[0]:
+        area.full[0] = 2 * size
+    return size <= area.full[0]
+
+
+@compiled
+def beyond(sightings, first, last, register, area):  # type: ignore[no-untyped-def]
+    """Landmarks that are seen and stand in the whole map alone, by register index."""
+    missing, count = np.empty(last - first, np.int64), 0
     for i in range(first, last):
         index = sightings.landmark[i]
-        if index < 0 or register.offsets[index] >= 0:
+        if index < 0 or register.offsets[index] >= 0 or area.home[index] < 0:
             continue
-        if area.home[index] < 0:
-            new += 1
-        elif not (missing[:count] == index).any():
+        if not (missing[:count] == index).any():
             missing[count] = index
             count += 1
-    return missing[:count], new
+    return missing[:count]
 
 
 class Survey(NamedTuple):
