@@ -29,7 +29,7 @@ from ekfslam.filters.ekf_slam import (
     write_step,
 )
 from ekfslam.filters.evidence import Evidence, gather
-from ekfslam.filters.exchange import exchanged, starting
+from ekfslam.filters.exchange import map_of, poses_of, starting
 from ekfslam.filters.gaussian_map import GaussianMap
 from ekfslam.filters.initiation import extend, note_corrections, note_points
 from ekfslam.filters.measure import BANKED, INVERSE_DEPTH, POINT, POSE
@@ -47,7 +47,7 @@ from ekfslam.filters.variants import (
     ROBOCENTRIC,
     settle_pose,
 )
-from ekfslam.filters.variants.robocentric import MAP, compose
+from ekfslam.filters.variants.robocentric import compose
 from ekfslam.filters.waiting import MOST
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import RANGE
@@ -373,34 +373,8 @@ class Engine:
             Whether the filter gives up the memory of its covariance for that: it is then of no
             more use.
         """
-        register, count, variant = self.register, len(ids), self.settings.variant
         slam, offsets = self._map()
-        offsets = offsets[:count]
-        mapped = (offsets >= 0) & (register.sightings[:count] > 0)
-        points = np.flatnonzero(mapped & (register.sizes[:count] == POINT))
-        directions = np.flatnonzero(mapped & (register.sizes[:count] == INVERSE_DEPTH))
-        where = offsets[points][:, None] + np.arange(POINT)
-        beyond = offsets[directions][:, None] + np.arange(INVERSE_DEPTH)
-        poses = POSE * self.settings.robots
-        shorter = POSE * (self.settings.poses - self.settings.robots)
-        where, beyond = where - shorter, beyond - shorter
-        order = np.concatenate([np.arange(poses), where.reshape(-1), beyond.reshape(-1)])
-        first = slam.arrays.points.first
-        if surrender and variant not in OF_THEIR_OWN:
-            mean, joint = slam.mean, slam.surrendered(order)
-        else:
-            mean, whole = exchanged(variant, slam.mean, slam.covariance, first)
-            joint = whole[np.ix_(order, order)]
-        end = poses + where.size
-        blocks = joint[poses:end, poses:end].reshape(len(points), POINT, len(points), POINT)
-        return LandmarkEstimates(
-            ids[points],
-            mean[where].reshape(-1, POINT),
-            np.ascontiguousarray(np.einsum("iaib->iab", blocks)),
-            joint[poses:end, poses:end],
-            ids[directions] if len(directions) else None,
-            mean[beyond] if len(directions) else None,
-        ), joint
+        return map_of(slam, offsets, self.register, self.settings, ids, surrender)
 
     def landmark(self, index: int) -> tuple[Array, Array]:
         """Position (2,) and covariance (2, 2) of a point in the map, by its register index."""
@@ -429,16 +403,7 @@ class Engine:
     @property
     def poses(self) -> tuple[Array, Array]:
         """Poses of the robots (R, 3), and their joint covariance (3 R, 3 R), additive."""
-        slam, variant, robots = self.slam, self.settings.variant, self.settings.robots
-        if variant not in (INVARIANT, ROBOCENTRIC):
-            return slam.mean[: POSE * robots].reshape(-1, POSE).copy(), slam.block(0, POSE * robots)
-        arrays = slam.arrays
-        if variant == ROBOCENTRIC:  # as if the step were over; the filter does not notice
-            mean, P = arrays.mean[:MAP].copy(), arrays.covariance[:MAP, :MAP].copy()
-            arrays = arrays._replace(mean=mean, covariance=P, size=np.array([MAP]))
-        pose, covariance = np.empty(POSE), np.empty((POSE, POSE))
-        settle_pose(variant, arrays, pose, covariance)
-        return pose[None], covariance
+        return poses_of(self.slam, self.settings)
 
     @property
     def undetermined(self) -> int:

@@ -8,8 +8,12 @@ import numpy as np
 
 from ekfslam import geometry as geo
 from ekfslam.dataset import Prior
-from ekfslam.filters.measure import POINT, POSE
-from ekfslam.filters.variants import INVARIANT, ROBOCENTRIC
+from ekfslam.estimates import LandmarkEstimates
+from ekfslam.filters.arrays import Register
+from ekfslam.filters.gaussian_map import GaussianMap
+from ekfslam.filters.measure import INVERSE_DEPTH, POINT, POSE
+from ekfslam.filters.options import Settings
+from ekfslam.filters.variants import INVARIANT, OF_THEIR_OWN, ROBOCENTRIC, settle_pose
 from ekfslam.filters.variants.robocentric import BASE, MAP, pose_of
 from ekfslam.geometry import Array
 
@@ -96,3 +100,76 @@ def _from_robot(mean: Array, P: Array, start: Array) -> tuple[Array, Array]:
     joint = half + half.T
     joint[POSE:, POSE:] += own.reshape(2 * L, 2 * L)
     return np.concatenate([pose, points.reshape(-1)]), joint
+
+
+def poses_of(slam: GaussianMap, settings: Settings) -> tuple[Array, Array]:
+    """Poses of the robots (R, 3), and their joint covariance (3 R, 3 R), additive in the world.
+
+    Parameters
+    ----------
+    slam : GaussianMap
+        In the filter's own coordinates; not changed.
+    settings : Settings
+    """
+    variant, robots = settings.variant, settings.robots
+    if variant not in OF_THEIR_OWN:
+        return slam.mean[: POSE * robots].reshape(-1, POSE).copy(), slam.block(0, POSE * robots)
+    arrays = slam.arrays
+    if variant == ROBOCENTRIC:  # as if the step were over; the filter does not notice
+        mean, P = arrays.mean[:MAP].copy(), arrays.covariance[:MAP, :MAP].copy()
+        arrays = arrays._replace(mean=mean, covariance=P, size=np.array([MAP]))
+    pose, covariance = np.empty(POSE), np.empty((POSE, POSE))
+    settle_pose(variant, arrays, pose, covariance)
+    return pose[None], covariance
+
+
+def map_of(
+    slam: GaussianMap,
+    offsets: np.ndarray,
+    register: Register,
+    settings: Settings,
+    ids: np.ndarray,
+    surrender: bool,
+) -> tuple[LandmarkEstimates, Array]:
+    """The map, and the joint covariance (n, n) of poses and map, additive in the world.
+
+    Parameters
+    ----------
+    slam : GaussianMap
+        In the filter's own coordinates.
+    offsets : (>= n,) ndarray of int
+        Where landmarks stand in it, by register index.
+    register : Register
+    settings : Settings
+    ids : (n,) ndarray of int
+        Identity of each register index.
+    surrender : bool
+        Whether the joint covariance may have the memory of the map, which is then of no more use.
+    """
+    count, variant = len(ids), settings.variant
+    offsets = offsets[:count]
+    mapped = (offsets >= 0) & (register.sightings[:count] > 0)
+    points = np.flatnonzero(mapped & (register.sizes[:count] == POINT))
+    directions = np.flatnonzero(mapped & (register.sizes[:count] == INVERSE_DEPTH))
+    where = offsets[points][:, None] + np.arange(POINT)
+    beyond = offsets[directions][:, None] + np.arange(INVERSE_DEPTH)
+    poses = POSE * settings.robots
+    shorter = POSE * (settings.poses - settings.robots)
+    where, beyond = where - shorter, beyond - shorter
+    order = np.concatenate([np.arange(poses), where.reshape(-1), beyond.reshape(-1)])
+    first = slam.arrays.points.first
+    if surrender and variant not in OF_THEIR_OWN:
+        mean, joint = slam.mean, slam.surrendered(order)
+    else:
+        mean, whole = exchanged(variant, slam.mean, slam.covariance, first)
+        joint = whole[np.ix_(order, order)]
+    end = poses + where.size
+    blocks = joint[poses:end, poses:end].reshape(len(points), POINT, len(points), POINT)
+    return LandmarkEstimates(
+        ids[points],
+        mean[where].reshape(-1, POINT),
+        np.ascontiguousarray(np.einsum("iaib->iab", blocks)),
+        joint[poses:end, poses:end],
+        ids[directions] if len(directions) else None,
+        mean[beyond] if len(directions) else None,
+    ), joint

@@ -15,8 +15,9 @@ from ekfslam.compiled import compiled, inlined, now
 from ekfslam.estimates import Decision
 from ekfslam.filters.ekf_slam import end_of_look
 from ekfslam.filters.evidence import against
-from ekfslam.filters.kernels import add_rows, correct, move
+from ekfslam.filters.kernels import correct, move
 from ekfslam.filters.measure import POINT, POSE, expect, innovate, locate, placed, rows_of
+from ekfslam.filters.triangle import add_rows
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import XY
 

@@ -1,10 +1,102 @@
-"""How one triangle of a covariance is read, written and moved as a whole."""
+"""How one triangle of a covariance is read, written and moved.
+
+Inner loops run over slices from their start: the compiler then knows that no index is negative,
+and vectorises them.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ekfslam.compiled import compiled
+
+
+@compiled
+def add_rows(P, n, at, size, weights, out):  # type: ignore[no-untyped-def]
+    """``out += weights' P[at : at + size, :n]``, O(n): what every operation reads of the triangle.
+
+    Parameters
+    ----------
+    P : (capacity, capacity) ndarray
+    n : int
+        Dimension of the state.
+    at, size : int
+        First coordinate of a pose or landmark, and how many it has.
+    weights : (>= size,) ndarray
+    out : (>= n,) ndarray
+        Added to, up to n.
+    """
+    stop = at + size
+    for c in range(size):
+        for d in range(size):
+            out[at + d] += weights[c] * P[at + min(c, d), at + max(c, d)]
+    tail = out[stop:n]
+    if size == 2:
+        w0, w1 = weights[0], weights[1]
+        for j in range(at):  # above the diagonal its rows stand as columns
+            out[j] += w0 * P[j, at] + w1 * P[j, at + 1]
+        row0, row1 = P[at, stop:n], P[at + 1, stop:n]
+        for j in range(tail.size):
+            tail[j] += w0 * row0[j] + w1 * row1[j]
+    elif size == 3:
+        w0, w1, w2 = weights[0], weights[1], weights[2]
+        for j in range(at):
+            out[j] += w0 * P[j, at] + w1 * P[j, at + 1] + w2 * P[j, at + 2]
+        row0, row1, row2 = P[at, stop:n], P[at + 1, stop:n], P[at + 2, stop:n]
+        for j in range(tail.size):
+            tail[j] += w0 * row0[j] + w1 * row1[j] + w2 * row2[j]
+    else:
+        for c in range(size):
+            w0 = weights[c]
+            for j in range(at):
+                out[j] += w0 * P[j, at + c]
+            row0 = P[at + c, stop:n]
+            for j in range(tail.size):
+                tail[j] += w0 * row0[j]
+
+
+@compiled
+def add_both_rows(P, n, at, size, H, first, one, two):  # type: ignore[no-untyped-def]
+    """`add_rows` with two weightings at once, for two or three coordinates.
+
+    Parameters
+    ----------
+    P, n, at, size
+        As for `add_rows`.
+    H : (2, >= first + size) ndarray
+        The weights begin at column `first`.
+    first : int
+    one, two : (>= n,) ndarray
+        Added to, up to n.
+    """
+    stop = at + size
+    for c in range(size):
+        for e in range(size):
+            entry = P[at + min(c, e), at + max(c, e)]
+            one[at + e] += H[0, first + c] * entry
+            two[at + e] += H[1, first + c] * entry
+    tail_one, tail_two = one[stop:n], two[stop:n]
+    u0, u1, v0, v1 = H[0, first], H[0, first + 1], H[1, first], H[1, first + 1]
+    row0, row1 = P[at, stop:n], P[at + 1, stop:n]
+    if size == 2:
+        for j in range(at):
+            x, y = P[j, at], P[j, at + 1]
+            one[j] += u0 * x + u1 * y
+            two[j] += v0 * x + v1 * y
+        for j in range(tail_one.size):
+            x, y = row0[j], row1[j]
+            tail_one[j] += u0 * x + u1 * y
+            tail_two[j] += v0 * x + v1 * y
+    else:
+        u2, v2, row2 = H[0, first + 2], H[1, first + 2], P[at + 2, stop:n]
+        for j in range(at):
+            x, y, z = P[j, at], P[j, at + 1], P[j, at + 2]
+            one[j] += u0 * x + u1 * y + u2 * z
+            two[j] += v0 * x + v1 * y + v2 * z
+        for j in range(tail_one.size):
+            x, y, z = row0[j], row1[j], row2[j]
+            tail_one[j] += u0 * x + u1 * y + u2 * z
+            tail_two[j] += v0 * x + v1 * y + v2 * z
 
 
 @compiled

@@ -176,7 +176,7 @@ def plot_times(trajectories: pd.DataFrame) -> Figure:
                 markersize=1.5,
                 markeredgewidth=0.0,
                 rasterized=many(len(times)),
-                label=f"{name}: median {np.nanmedian(times):.3g} µs",
+                label=f"{name}: mean {np.nanmean(times):.3g} µs",
             )
         _finish(figure, title, [axes])
     return figure
