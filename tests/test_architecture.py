@@ -20,6 +20,7 @@ FLOORS: dict[int, tuple[tuple[str, ...], ...]] = {
         (
             "ekfslam.errors",
             "ekfslam.checks",
+            "ekfslam.differences",
             "ekfslam.storage",
             "ekfslam.mat5",
             "ekfslam.compiled",

@@ -14,6 +14,7 @@ import numpy as np
 
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
+from ekfslam.differences import central_differences
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import (
     FAILED,
@@ -35,7 +36,6 @@ SCALES = (1 / 12, 1 / 24, 1 / 48)  # above, the second order of the gap can hide
 SLIP = 1e-4 / SCALES[-1]  # [m]; keeps lateral noise above what smoothers can take for regular
 FLOOR = 1e-5  # of odometry noise in the smoother (m, rad): below all that the scales leave
 DRAWS = 4  # the gap of a single draw can pass through zero on its way
-STEP = 1e-5  # of central differences, whose own error is then near 1e-10
 SMALL_NOISE = "gap to batch shrinks with the square of the noise"
 
 
@@ -113,23 +113,6 @@ def _refuse(dataset: Dataset, views: tuple[int, ...], reason: str) -> None:
 
 
 # 1 ----------------------------------------------------------------------------------------------
-
-
-def central_differences(function: Callable[[Array], Array], point: Array) -> Array:
-    """Derivative of a vectorised function: (n, d) -> (n, m) gives (n, m, d).
-
-    Differences over one and two steps to either side are combined, so that their error falls with
-    the fourth power of the step. The function returns differences from its value at `point`, so
-    that angles can be wrapped.
-    """
-    columns = []
-    for axis in range(point.shape[1]):
-        nudge = np.zeros(point.shape[1])
-        nudge[axis] = STEP
-        near = function(point + nudge) - function(point - nudge)
-        far = function(point + 2 * nudge) - function(point - 2 * nudge)
-        columns.append((8 * near - far) / (12 * STEP))
-    return np.stack(columns, axis=-1)
 
 
 def jacobians(subject: Estimator, dataset: Dataset, scenario: str, seed: int) -> Measurement:
