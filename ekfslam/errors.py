@@ -30,3 +30,10 @@ class FileFormatError(EkfslamError):
 
 class UnsupportedError(EkfslamError):
     """The estimator does not apply to this dataset; becomes a row with status `skipped`."""
+
+
+def in_words(error: BaseException) -> str:
+    """An error in one line: its type, what it says, and the notes on it."""
+    said = " ".join(str(error).split())
+    notes = "; ".join(getattr(error, "__notes__", []))
+    return f"{type(error).__name__}: {said}" + (f" ({notes})" if notes else "")

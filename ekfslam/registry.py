@@ -3,7 +3,8 @@
 Names come from the entry-point group ``ekfslam.estimators``; a package joins by declaring one.
 ``module:attribute`` works wherever a name does, and options may follow either:
 ``ekf(association=joint, confirm=3)``. An estimator is an object with
-``estimate(dataset) -> Estimate``, or a class or function without arguments that makes one.
+``estimate(dataset) -> Estimate``, or a class or function without arguments that makes one; filters
+with ``predict`` and ``observe``, and functions of a dataset, become one (`ekfslam.adapters`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+from ekfslam.adapters import FilterEstimator, adapted, is_filter, name_of
 from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
 from ekfslam.estimates import Estimate
@@ -144,12 +146,13 @@ def estimator_name(estimator: str | Any) -> str:
     if isinstance(estimator, str):
         call = parse(estimator)
         return str(call._replace(name=call.name.rpartition(":")[2]))
-    kind = estimator if isinstance(estimator, type) else type(estimator)
-    return str(getattr(estimator, "name", kind.__name__))
+    return name_of(estimator)
 
 
 def resolve(estimator: str | Any, **options: Any) -> Estimator:
-    """The estimator of a name, a ``module:attribute``, a class or an object.
+    """The estimator of a name, a ``module:attribute``, a class, a function or an object.
+
+    A filter, a class of filters or a function of a dataset is wrapped by `ekfslam.adapters`.
 
     Parameters
     ----------
@@ -172,17 +175,32 @@ def resolve(estimator: str | Any, **options: Any) -> Estimator:
         for twice in sorted(options.keys() & call.options.keys()):
             raise InputError(f"option {twice} is given twice: in {estimator!r} and beside it")
         estimator, options = _load(call.name), call.options | options
-    if isinstance(estimator, type) or (callable(estimator) and not hasattr(estimator, "estimate")):
+    if _makes(estimator):
         _check_options(estimator, options)
+        wrapped = adapted(estimator, options)
+        if wrapped is not None:
+            return wrapped
         try:
             estimator = estimator(**options)
         except TypeError as error:
             raise InputError(f"cannot make the estimator: {error}") from None
     elif options:
         raise InputError(f"options {', '.join(options)} are for a name or a class")
-    if not isinstance(estimator, Estimator):
-        raise InputError(f"{estimator!r} is no estimator: it has no estimate(dataset)")
-    return estimator
+    if isinstance(estimator, Estimator):
+        return estimator
+    if is_filter(estimator):
+        return FilterEstimator(estimator, name_of(estimator))
+    raise InputError(
+        f"{estimator!r} is no estimator: it has no estimate(dataset), nor both "
+        "predict(increment, covariance) and observe(observations)"
+    )
+
+
+def _makes(thing: Any) -> bool:
+    """Whether it is called, and not used as it is."""
+    if isinstance(thing, type):
+        return True
+    return callable(thing) and not hasattr(thing, "estimate") and not is_filter(thing)
 
 
 def _check_options(maker: Callable[..., Any], options: dict[str, Any]) -> None:

@@ -27,15 +27,18 @@ FLOORS: dict[int, tuple[tuple[str, ...], ...]] = {
             "ekfslam.blas",
         ),
     ),
-    1: (("ekfslam.geometry",), ("ekfslam.association",)),
+    1: (("ekfslam.geometry", "ekfslam.mahalanobis"), ("ekfslam.association",)),
     2: (("ekfslam.models",),),
     3: (
         (
             "ekfslam.observations",
             "ekfslam.robots",
             "ekfslam.dataset",
+            "ekfslam.own_models",
+            "ekfslam.documents",
             "ekfslam.estimates",
             "ekfslam.registry",
+            "ekfslam.adapters",
         ),
     ),
     4: (

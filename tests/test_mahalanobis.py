@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ekfslam.evaluation import squared_mahalanobis
-from ekfslam.evaluation.consistency import NEGLIGIBLE, REGULAR, SINGULAR
+from ekfslam.mahalanobis import NEGLIGIBLE, REGULAR, SINGULAR
 
 EPS = np.finfo(float).eps
 

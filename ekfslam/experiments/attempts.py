@@ -8,7 +8,7 @@ from inspect import signature
 from typing import Any
 
 from ekfslam.dataset import Dataset
-from ekfslam.errors import InputError, UnsupportedError
+from ekfslam.errors import InputError, UnsupportedError, in_words
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import judged
 from ekfslam.registry import Estimator, estimator_name, resolve
@@ -74,8 +74,7 @@ def attempt(
     except UnsupportedError as reason:
         return Estimate(name, dataset.name, status=SKIPPED, message=str(reason))
     except (Exception, SystemExit) as error:  # which would take a campaign with it
-        text = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        return Estimate(name, dataset.name, status=FAILED, message=text)
+        return Estimate(name, dataset.name, status=FAILED, message=in_words(error))
 
 
 def _call(subject: Estimator, dataset: Dataset, progress: Any) -> Any:
