@@ -371,11 +371,14 @@ class Dataset:
     def save(self, path: str | Path) -> None:
         """Write to one file without loss; the file appears whole or not at all.
 
+        Of a motion model of one's own, its increments are written; see `Robot.saved`.
+
         Parameters
         ----------
         path : path
             The usual ending is ``.npz``.
         """
+        robots = [robot.saved for robot in self.robots]
         writer = Writer(FORMAT, VERSION)
         writer.header.update(
             name=self.name,
@@ -383,11 +386,11 @@ class Dataset:
             seed=self.seed,
             notes=self.notes,
             sensors=[s.to_dict() for s in self.sensors],
-            robots=[{"name": r.name, "motion": r.motion.to_dict()} for r in self.robots],
+            robots=[{"name": r.name, "motion": r.motion.to_dict()} for r in robots],
         )
         writer.put("times", self.times)
         writer.put("true_landmark", self.true_landmark)
-        for index, robot in enumerate(self.robots):
+        for index, robot in enumerate(robots):
             writer.put(f"robot{index}.controls", robot.controls)
             writer.put(f"robot{index}.prior_mean", robot.prior.mean)
             writer.put(f"robot{index}.prior_covariance", robot.prior.covariance)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from ekfslam.errors import InputError
 from ekfslam.geometry import Array
 from ekfslam.models.mixture import Components
 from ekfslam.models.motion import Increments, MotionModel
+from ekfslam.own_models import OwnMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,7 @@ class Robot:
     Parameters
     ----------
     motion : MotionModel
+        Or one of the user's own, `ekfslam.own_models.OwnMotion`.
     controls : (K, m) array_like
         Columns as `MotionModel.control_names`.
     prior : Prior
@@ -126,6 +128,20 @@ class Robot:
     def components(self) -> Components:
         """Body increments of the whole run as the mixture that their noise is, computed once."""
         return Components(*map(frozen, self.motion.components(self.controls, self.covariance)))
+
+    @property
+    def saved(self) -> Robot:
+        """The robot as files keep it: with the increments that a motion model of one's own makes.
+
+        They are controls of kind ``odometry``, each with its covariance, so that estimates are the
+        same; any other robot is itself.
+        """
+        if not isinstance(self.motion, OwnMotion):
+            return self
+        deltas, covariances = self.increments
+        typical = covariances.sum(axis=0) / max(1, len(covariances))  # each step has its own
+        motion = MotionModel("odometry", typical)
+        return replace(self, motion=motion, controls=deltas, covariance=covariances)
 
 
 def _check_truth(truth: Array, name: str) -> None:

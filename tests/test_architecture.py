@@ -39,6 +39,7 @@ FLOORS: dict[int, tuple[tuple[str, ...], ...]] = {
             "ekfslam.estimates",
             "ekfslam.registry",
             "ekfslam.adapters",
+            "ekfslam.held",
         ),
     ),
     4: (

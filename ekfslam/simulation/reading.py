@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Callable, Collection, Mapping
-from difflib import get_close_matches
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from inspect import Parameter, signature
 from os import PathLike
 from pathlib import Path
-from types import UnionType
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 
-from ekfslam.errors import EkfslamError, FileFormatError, InputError, UnknownNameError
+from ekfslam.documents import arguments, call, filled, motion_model, read, section, tables
+from ekfslam.errors import FileFormatError, InputError, UnknownNameError
 from ekfslam.geometry import Array
-from ekfslam.models.motion import KINDS, MotionModel
 from ekfslam.robots import LandmarkMap, Prior
 from ekfslam.simulation.blocks import share
 from ekfslam.simulation.paths import PATHS
@@ -27,9 +23,6 @@ from ekfslam.simulation.scenario import Scenario
 from ekfslam.simulation.variants import change
 from ekfslam.simulation.world_files import fill_in
 from ekfslam.simulation.worlds import WORLDS
-
-DEFAULT_SLIP = 1e-3  # [m] per step: two noisy controls alone make a singular covariance
-_DEGREES = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*deg\s*")
 
 
 def scenarios() -> tuple[str, ...]:
@@ -116,9 +109,6 @@ def _shipped() -> dict[str, Traversable]:
 
 
 # From a TOML document to a scenario --------------------------------------------------------------
-#
-# The signature of what a table stands for says which keys it may hold, which it must, and of what
-# type: nothing is said twice.
 
 _ROBOT = ("path", "motion", "prior")  # the tables of a robot
 _TABLES = ("world", "sensors", "robots", *_ROBOT)
@@ -128,10 +118,10 @@ _RESOLVED = ("name", "landmarks", "descriptors", "robot_name", "team", *_OF_ROBO
 
 def _build(name: str, document: dict[str, Any], where: str) -> Scenario:
     settings = {key: value for key, value in document.items() if key not in _TABLES}
-    settings = _arguments(Scenario, settings, where, skip=(*_TABLES, *_RESOLVED), also=_TABLES)
-    landmarks, descriptors = _world(*_section(document, "world", where))
+    settings = arguments(Scenario, settings, where, skip=(*_TABLES, *_RESOLVED), also=_TABLES)
+    landmarks, descriptors = _world(*section(document, "world", where))
     first, *team = _robots(document, where)
-    sensors = _tables(document, "sensors", where)
+    sensors = tables(document, "sensors", where)
     resolved = {
         "name": name,
         "landmarks": landmarks,
@@ -144,36 +134,20 @@ def _build(name: str, document: dict[str, Any], where: str) -> Scenario:
         "robot_name": first.name,
         "team": tuple(team),
         "sensors": tuple(
-            _filled(SensorPlan, table, f"{where}: [[sensors]] {number}")
+            filled(SensorPlan, table, f"{where}: [[sensors]] {number}")
             for number, table in enumerate(sensors, start=1)
         ),
     }
-    return _call(Scenario, where, **resolved, **settings)
-
-
-def _section(document: dict[str, Any], key: str, where: str) -> tuple[dict[str, Any], str]:
-    table = document.get(key)
-    if table is None:
-        raise InputError(f"{where}: the table [{key}] is missing")
-    if not isinstance(table, dict):
-        raise InputError(f"{where}: [{key}] must be a table, got {table!r}")
-    return table, f"{where}: [{key}]"
-
-
-def _tables(document: dict[str, Any], key: str, where: str) -> list[dict[str, Any]]:
-    tables = document.get(key, [])
-    if not (isinstance(tables, list) and tables and all(isinstance(t, dict) for t in tables)):
-        raise InputError(f"{where}: at least one table [[{key}]] is needed")
-    return tables
+    return call(Scenario, where, **resolved, **settings)
 
 
 def _world(table: dict[str, Any], where: str) -> tuple[LandmarkMap, Array | None]:
     rest = {key: value for key, value in table.items() if key != "descriptors"}
     positions = _of_kind(WORLDS, rest, where, also=("descriptors",))
-    landmarks = _call(LandmarkMap, where, ids=range(len(positions)), positions=positions)
+    landmarks = call(LandmarkMap, where, ids=range(len(positions)), positions=positions)
     if "descriptors" not in table:
         return landmarks, None
-    descriptors = _read(table["descriptors"], Array, f"{where}: descriptors")
+    descriptors = read(table["descriptors"], Array, f"{where}: descriptors")
     if descriptors.ndim != 1 or not len(descriptors):
         raise InputError(f"{where}: descriptors must be a list of numbers")
     return landmarks, np.resize(descriptors, len(landmarks))
@@ -186,31 +160,24 @@ def _robots(document: dict[str, Any], where: str) -> list[RobotPlan]:
         raise InputError(f"{where}: give either [[robots]] or {' and '.join(given)}, not both")
     return [
         _robot(table, f"{where}: [[robots]] {number}")
-        for number, table in enumerate(_tables(document, "robots", where), start=1)
+        for number, table in enumerate(tables(document, "robots", where), start=1)
     ]
 
 
 def _robot(table: dict[str, Any], where: str) -> RobotPlan:
     settings = {key: value for key, value in table.items() if key not in _ROBOT}
-    settings = _arguments(RobotPlan, settings, where, skip=(*_ROBOT, *_OF_ROBOT), also=_ROBOT)
-    path = _of_kind(PATHS, *_section(table, "path", where))
-    motion = _motion(*_section(table, "motion", where))
+    settings = arguments(RobotPlan, settings, where, skip=(*_ROBOT, *_OF_ROBOT), also=_ROBOT)
+    path = _of_kind(PATHS, *section(table, "path", where))
+    motion = motion_model(*section(table, "motion", where))
     if path.motion not in (None, motion.kind):
         raise InputError(f"{where}: this path needs the motion kind {path.motion!r}")
     if path.wheelbase not in (None, motion.wheelbase):
         raise InputError(f"{where}: path and motion need the same wheelbase")
     prior, draw_prior = None, False
     if "prior" in table:
-        prior, draw_prior = _prior(path.start, *_section(table, "prior", where))
+        prior, draw_prior = _prior(path.start, *section(table, "prior", where))
     plan = (path.start, path.controls, motion, prior, draw_prior)
-    return _call(RobotPlan, where, *plan, **settings)
-
-
-def _motion(table: dict[str, Any], where: str) -> MotionModel:
-    kind = table.get("kind")
-    if isinstance(kind, str) and kind in KINDS and KINDS[kind].noisy == 2:
-        table = {"slip": DEFAULT_SLIP, **table}
-    return _filled(MotionModel, table, where)
+    return call(RobotPlan, where, *plan, **settings)
 
 
 def _prior(start: Array, table: dict[str, Any], where: str) -> tuple[Prior, bool]:
@@ -218,7 +185,7 @@ def _prior(start: Array, table: dict[str, Any], where: str) -> tuple[Prior, bool
     if not isinstance(draw, bool):
         raise InputError(f"{where}: draw must be true or false, got {draw!r}")
     rest = {"mean": start.tolist(), **{key: v for key, v in table.items() if key != "draw"}}
-    return _filled(Prior, rest, where, also=("draw",)), draw
+    return filled(Prior, rest, where, also=("draw",)), draw
 
 
 def _of_kind(
@@ -230,96 +197,8 @@ def _of_kind(
     """Call the function that the table's ``kind`` names with the rest of the table."""
     if "kind" not in table:
         raise InputError(f"{where}: missing key 'kind'; known: {', '.join(kinds)}")
-    kind = _read(table["kind"], str, f"{where}: kind")
+    kind = read(table["kind"], str, f"{where}: kind")
     if kind not in kinds:
         raise InputError(f"{where}: {UnknownNameError('kind', kind, kinds)}")
     rest = {key: value for key, value in table.items() if key != "kind"}
-    return _filled(kinds[kind], rest, where, also=("kind", *also))
-
-
-def _filled(
-    target: Callable[..., Any], table: dict[str, Any], where: str, also: Collection[str] = ()
-) -> Any:
-    return _call(target, where, **_arguments(target, table, where, also=also))
-
-
-def _call(target: Callable[..., Any], where: str, *values: Any, **arguments: Any) -> Any:
-    """Call, and say in the error of a value that makes no sense where it was read."""
-    try:
-        return target(*values, **arguments)
-    except (EkfslamError, TypeError, ValueError) as error:
-        raise InputError(f"{where}: {error}") from None
-
-
-def _arguments(
-    target: Callable[..., Any],
-    table: dict[str, Any],
-    where: str,
-    skip: Collection[str] = (),
-    also: Collection[str] = (),
-) -> dict[str, Any]:
-    """A table as arguments of `target`, checked against its signature.
-
-    `skip` are parameters that no key may give, `also` further keys to propose for a misspelt one.
-    """
-    parameters = {k: p for k, p in signature(target).parameters.items() if k not in skip}
-    shorthand = ("sigmas",) if "covariance" in parameters else ()
-    for key in table:
-        if key not in parameters and key not in shorthand:
-            known = [*parameters, *shorthand, *also]
-            close = get_close_matches(key, known, n=2)
-            hint = f"did you mean {' or '.join(close)}?" if close else f"known: {', '.join(known)}"
-            raise InputError(f"{where}: unknown key {key!r}; {hint}")
-    if "sigmas" in table and "covariance" in table:
-        raise InputError(f"{where}: give either covariance or sigmas")
-    hints = get_type_hints(target)
-    values = {k: _read(v, hints[k], f"{where}: {k}") for k, v in table.items() if k in parameters}
-    if "sigmas" in table:
-        sigmas = _read(table["sigmas"], Array, f"{where}: sigmas")
-        if sigmas.ndim != 1:
-            raise InputError(f"{where}: sigmas must be one number for each noisy value")
-        if (sigmas < 0).any():
-            raise InputError(f"{where}: sigmas must not be negative")
-        values["covariance"] = np.diag(sigmas**2)
-    for key, parameter in parameters.items():
-        if parameter.default is Parameter.empty and key not in values:
-            alternative = " or 'sigmas'" if key == "covariance" else ""
-            raise InputError(f"{where}: missing key {key!r}{alternative}")
-    return values
-
-
-def _read(value: Any, hint: Any, where: str) -> Any:
-    """A TOML value as the type of a parameter: text, flag, whole number, number or array."""
-    allowed = get_args(hint) if isinstance(hint, UnionType) else (hint,)
-    if float in allowed:
-        return _number(value, where)
-    for kind, name in ((str, "text"), (bool, "true or false"), (int, "a whole number")):
-        if kind in allowed:
-            if type(value) is not kind:
-                raise InputError(f"{where} must be {name}, got {value!r}")
-            return value
-    if tuple[str, ...] in allowed:
-        if not (isinstance(value, list) and all(isinstance(v, str) for v in value)):
-            raise InputError(f"{where} must be a list of names, got {value!r}")
-        return tuple(value)
-    if not isinstance(value, list):
-        raise InputError(f"{where} must be a list of numbers, got {value!r}")
-    rows = _numbers(value, where)
-    try:
-        return np.array(rows)
-    except ValueError:
-        raise InputError(f"{where} has rows of different lengths") from None
-
-
-def _numbers(value: Any, where: str) -> Any:
-    return [_numbers(v, where) for v in value] if isinstance(value, list) else _number(value, where)
-
-
-def _number(value: Any, where: str) -> float:
-    # Degrees squared are not meant by a string in a covariance; it is refused like any other.
-    degrees = isinstance(value, str) and not where.endswith(": covariance")
-    if degrees and (angle := _DEGREES.fullmatch(value)):
-        return float(np.deg2rad(float(angle[1])))
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{where} must be a number (or an angle like '3 deg'), got {value!r}")
-    return float(value)
+    return filled(kinds[kind], rest, where, also=("kind", *also))
