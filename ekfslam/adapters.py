@@ -9,38 +9,24 @@ checked and copied.
 from __future__ import annotations
 
 import inspect
-import os
 import time
-import traceback
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ekfslam.checks import check_finite, checked_array
-from ekfslam.dataset import Dataset, Prior, Sightings
-from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
-from ekfslam.estimates import (
-    Decision,
-    Estimate,
-    Innovations,
-    LandmarkEstimates,
-    Linearizations,
-    Trajectory,
-)
-from ekfslam.geometry import Array, wrap
-from ekfslam.mahalanobis import squared_mahalanobis
+from ekfslam.dataset import Dataset, Prior
+from ekfslam.errors import InputError, UnknownNameError, UnsupportedError, blamed
+from ekfslam.estimates import Estimate, Linearizations, Trajectory
+from ekfslam.geometry import wrap
+from ekfslam.held import POSE, Held, innovation_norms, joined
 from ekfslam.models.sensors import VIEWS
 
 if TYPE_CHECKING:
     from ekfslam.registry import Progress
-
-POSE, POINT = 3, 2
-WITHIN = ("ekfslam", "baselines")  # whose files are not a user's
 
 
 def name_of(thing: Any) -> str:
@@ -127,7 +113,8 @@ class FilterEstimator:
     - or ``pose`` (3,), and ``pose_covariance`` (3, 3), if it has that;
 
     and at the end, if the state has no points, for ``landmarks``: `LandmarkEstimates`, or positions
-    (2,) by identity. What ``observe`` returns may be `Innovations`, one row per observation.
+    (2,) by identity. What ``observe`` returns may be `Innovations`, one row per observation; where
+    several observations correct together, ``nis`` is the squared norm of their innovations.
     Attributes ``association`` (the default is "known") and ``kinds``, the views that it can work
     with (all by default), say what it is for; ``linearizations`` may hold `Linearizations`, or
     return them when called.
@@ -157,8 +144,9 @@ class FilterEstimator:
         Returns
         -------
         Estimate
-            Times are those of making the filter and of its calls; the NIS of a step is the sum over
-            its observations, which is chi-squared if they correct one after another.
+            Times are those of making the filter and of its calls. The NIS of a step is what the
+            filter states as ``nis``, or else the sum over its observations: chi-squared if these
+            correct one after another, right in the mean if they correct together.
 
         Raises
         ------
@@ -202,32 +190,31 @@ class FilterEstimator:
         association = str(getattr(slam, "association", None) or "known")
         _check_suits(slam, self.name, association, dataset)
         steps = dataset.poses
-        poses, seconds = np.empty((steps, POSE)), np.empty(steps)
-        covariances: Array | None = None
-        met = []
+        poses, seconds, stated = np.empty((steps, POSE)), np.empty(steps), np.empty(steps)
+        covariances, met = np.empty((steps, POSE, POSE)), []
         for k, step in enumerate(dataset.steps()):
             with blamed(slam, f"at step {k}"):
                 started = time.perf_counter()
                 slam.predict(step.increment, step.covariance)
                 answer = slam.observe(step.observations)
                 seconds[k] = time.perf_counter() - started
-            held = _Held(slam, self.name, k)
+            held = Held(slam, self.name, k)
             met.append(held.met(answer, step.observations))
-            poses[k], covariance = held.pose()
-            if k == 0 and covariance is not None:
-                covariances = np.full((steps, POSE, POSE), np.nan)
-            if covariances is not None and covariance is not None:
-                covariances[k] = covariance
+            poses[k], covariances[k] = held.pose()
+            stated[k] = held.nis()
             if progress is not None and (k + 1 == steps or k % max(1, steps // 100) == 0):
                 progress(k + 1, steps)
         mapped, joint = held.map()
-        innovations = _joined(met, self.name)
-        nis, dof = (None, None) if innovations is None else _step_nis(dataset, innovations)
+        innovations = joined(met, self.name)
+        nis, dof = (None, None)
+        if innovations is not None:
+            nis, dof = innovation_norms(dataset, innovations)
+            nis = np.where(np.isfinite(nis) & np.isfinite(stated), stated, nis)
         return slam, Estimate(
             estimator=self.name,
             dataset=dataset.name,
             association=association,
-            online=Trajectory(poses, covariances),
+            online=Trajectory(poses, None if np.isnan(covariances).all() else covariances),
             landmarks=mapped,
             joint_covariance=joint,
             innovations=innovations,
@@ -276,182 +263,6 @@ def _check_suits(slam: Any, name: str, association: str, dataset: Dataset) -> No
             raise UnsupportedError(
                 f"{name} is for {', '.join(kinds)}, but {sensor.name} reports {sensor.kind}"
             )
-
-
-@dataclass(frozen=True, eq=False)
-class _Held:
-    """What a filter holds after a step, checked and copied."""
-
-    slam: Any
-    name: str
-    step: int
-
-    def _title(self, attribute: str) -> str:
-        return f"{self.name}.{attribute} at step {self.step}"
-
-    def _has(self, attribute: str) -> bool:
-        """Whether it is there; a property that fails is, and is asked again to say why."""
-        try:
-            return getattr(self.slam, attribute, None) is not None
-        except Exception:
-            return True
-
-    def _get(self, attribute: str, shape: tuple[int | None, ...], dtype: type = float) -> Any:
-        """An array of an attribute."""
-        with blamed(self.slam):
-            value = getattr(self.slam, attribute)
-        array = np.array(checked_array(value, dtype, shape, self._title(attribute)))
-        check_finite(array, self._title(attribute))
-        return array
-
-    def _mean(self) -> Array:
-        mean = self._get("mean", (None,))
-        if len(mean) < POSE or (len(mean) - POSE) % POINT:
-            raise InputError(
-                f"{self._title('mean')} must have shape (3 + 2 n,), the pose and then the n points "
-                f"of the map, got {mean.shape}"
-            )
-        return mean
-
-    def pose(self) -> tuple[Array, Array | None]:
-        """The pose (3,), heading wrapped, and its covariance (3, 3), if there is one."""
-        if self._has("mean"):
-            mean = self._mean()
-            pose, size, attribute = mean[:POSE], len(mean), "covariance"
-        elif self._has("pose"):
-            pose, size, attribute = self._get("pose", (POSE,)), POSE, "pose_covariance"
-        else:
-            raise InputError(
-                f"{self.name} holds no state at step {self.step}: it needs an attribute mean, "
-                "(3 + 2 n,), with ids, or an attribute pose, (3,)"
-            )
-        pose[2] = wrap(pose[2])
-        if not self._has(attribute):
-            return pose, None
-        with blamed(self.slam):
-            value = getattr(self.slam, attribute)
-        # Of a large state only the corner is looked at in every step.
-        shaped = isinstance(value, np.ndarray) and value.shape == (size, size)
-        if not shaped:
-            value = checked_array(value, float, (size, size), self._title(attribute))
-        corner = checked_array(value[:POSE, :POSE], float, (POSE, POSE), self._title(attribute))
-        check_finite(corner, self._title(attribute))
-        return pose, corner
-
-    def map(self) -> tuple[LandmarkEstimates | None, Array | None]:
-        """The map, and the joint covariance of pose and map, as far as there are any."""
-        mean = self._mean() if self._has("mean") else np.zeros(POSE)
-        if len(mean) == POSE and not self._has("ids"):
-            return self._landmarks(), None
-        if not self._has("ids"):
-            raise InputError(
-                f"{self.name} has no attribute ids at step {self.step}: it needs the identities "
-                "of the points in mean, in their order"
-            )
-        count = (len(mean) - POSE) // POINT
-        ids = self._get("ids", (count,), np.int64)
-        self._check_distinct(ids, "ids")
-        points = mean[POSE:].reshape(count, POINT)
-        if not self._has("covariance"):
-            return LandmarkEstimates(ids, points), None
-        joint = self._get("covariance", (len(mean), len(mean)))
-        block = joint[POSE:, POSE:]
-        own = np.einsum("iaib->iab", block.reshape(count, POINT, count, POINT))
-        return LandmarkEstimates(ids, points, np.ascontiguousarray(own), block), joint
-
-    def _landmarks(self) -> LandmarkEstimates | None:
-        """The attribute `landmarks`."""
-        if not self._has("landmarks"):
-            return None
-        with blamed(self.slam):
-            value = self.slam.landmarks
-        title = self._title("landmarks")
-        if isinstance(value, Mapping):
-            points = list(value.values()) or np.zeros((0, POINT))
-            value = LandmarkEstimates(np.array(list(value), dtype=object), np.array(points))
-        elif not isinstance(value, LandmarkEstimates):
-            raise InputError(
-                f"{title} must be LandmarkEstimates, or positions (2,) by identity, "
-                f"got {type(value).__name__}"
-            )
-        ids = checked_array(value.ids, np.int64, (None,), f"identities in {title}")
-        points = checked_array(value.positions, float, (len(ids), POINT), f"positions in {title}")
-        check_finite(points, f"positions in {title}")
-        self._check_distinct(ids, "landmarks")
-        return replace(deepcopy(value), ids=ids, positions=points)
-
-    def _check_distinct(self, ids: np.ndarray, attribute: str) -> None:
-        found, count = np.unique(ids, return_counts=True)
-        if (count > 1).any():
-            twice = found[count > 1][0]
-            raise InputError(f"{self._title(attribute)} lists landmark {twice} twice")
-
-    def met(self, answer: Any, observations: Sightings) -> Innovations | None:
-        """What `observe` returned; no rows where there is nothing to tell."""
-        count = len(observations.landmark)
-        if answer is None:
-            return None if count else _NOTHING
-        if not isinstance(answer, Innovations):
-            raise InputError(
-                f"{self.name}.observe must return Innovations or nothing, "
-                f"got {type(answer).__name__} at step {self.step}"
-            )
-        shapes: dict[str, tuple[type, tuple[int, ...]]] = {
-            "decision": (np.int64, (count,)),
-            "landmark": (np.int64, (count,)),
-            "innovation": (float, (count, 2)),
-            "S": (float, (count, 2, 2)),
-        }
-        columns = {
-            name: checked_array(
-                getattr(answer, name),
-                dtype,
-                shape,
-                f"{name} that {self.name}.observe returned at step {self.step}",
-            )
-            for name, (dtype, shape) in shapes.items()
-        }
-        if not np.isin(columns["decision"], list(Decision)).all():
-            raise InputError(
-                f"decision that {self.name}.observe returned at step {self.step} "
-                "holds a number of no Decision"
-            )
-        return Innovations(**columns)
-
-
-_NOTHING = Innovations(
-    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))
-)
-
-
-def _joined(met: list[Innovations | None], name: str) -> Innovations | None:
-    """The rows of all steps; None of a filter that does not tell."""
-    told = [each for each in met if each is not None]
-    if len(told) < len(met):
-        if any(len(each) for each in told):
-            silent = next(k for k, each in enumerate(met) if each is None)
-            raise InputError(
-                f"{name}.observe returned nothing at step {silent}, but Innovations at others: "
-                "return them always or never"
-            )
-        return None
-    columns = [each.name for each in fields(Innovations)]
-    return Innovations(*(np.concatenate([getattr(m, column) for m in told]) for column in columns))
-
-
-def _step_nis(dataset: Dataset, met: Innovations) -> tuple[Array, np.ndarray]:
-    """Sum of the NIS of each step's accepted observations, NaN for none, and its rows."""
-    observed = dataset.observations
-    size = np.array([sensor.view.size for sensor in dataset.sensors], dtype=np.int64)
-    width, nis = size[observed.sensor], np.full(len(met), np.nan)
-    for d in np.unique(width):
-        rows = (width == d) & (met.decision == Decision.ACCEPTED)
-        nis[rows] = squared_mahalanobis(met.innovation[rows, :d], met.S[rows, :d, :d])
-    counted = np.isfinite(nis)
-    steps, width = observed.step[counted], width[counted]
-    dof = np.bincount(steps, width, dataset.poses).astype(np.int64)
-    total = np.bincount(steps, nis[counted], dataset.poses)
-    return np.where(dof > 0, total, np.nan), dof
 
 
 @dataclass(frozen=True, eq=False)
@@ -518,47 +329,3 @@ class FunctionEstimator:
             time_marginals=0.0,
             options=dict(self.options),
         )
-
-
-@contextmanager
-def blamed(owner: Any, when: str = "") -> Iterator[None]:
-    """What is raised inside gets a note that says where, in the files of the owner's package.
-
-    Parameters
-    ----------
-    owner : class, callable or object
-    when : str
-        Is part of the note.
-    """
-    try:
-        yield
-    except UnsupportedError:
-        raise
-    except Exception as error:
-        note = ", ".join(filter(None, (place(error, owner), when)))
-        if note:
-            error.add_note(note)
-        raise
-
-
-def place(error: BaseException, owner: Any) -> str:
-    """File, line and function of the owner's package that an error came from, or nothing.
-
-    Parameters
-    ----------
-    error : BaseException
-    owner : class, callable or object
-        Of this package, too: then nothing.
-    """
-    while isinstance(owner, partial):
-        owner = owner.func
-    module = getattr(owner, "__module__", None) or type(owner).__module__
-    package = str(module).partition(".")[0]
-    if package in WITHIN:
-        return ""
-    words = ""
-    for frame, line in traceback.walk_tb(error.__traceback__):
-        if str(frame.f_globals.get("__name__")).partition(".")[0] == package:
-            code, here = frame.f_code, os.path.join(os.getcwd(), "")
-            words = f"{code.co_filename.removeprefix(here)}, line {line}, in {code.co_name}"
-    return words

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
+from functools import partial
+from typing import Any
+
+WITHIN = ("ekfslam", "baselines")  # whose files are not a user's
 
 
 class EkfslamError(Exception):
@@ -37,3 +44,47 @@ def in_words(error: BaseException) -> str:
     said = " ".join(str(error).split())
     notes = "; ".join(getattr(error, "__notes__", []))
     return f"{type(error).__name__}: {said}" + (f" ({notes})" if notes else "")
+
+
+@contextmanager
+def blamed(owner: Any, when: str = "") -> Iterator[None]:
+    """What is raised inside gets a note that says where, in the files of the owner's package.
+
+    Parameters
+    ----------
+    owner : class, callable or object
+    when : str
+        Is part of the note.
+    """
+    try:
+        yield
+    except UnsupportedError:
+        raise
+    except Exception as error:
+        note = ", ".join(filter(None, (place(error, owner), when)))
+        if note:
+            error.add_note(note)
+        raise
+
+
+def place(error: BaseException, owner: Any) -> str:
+    """File, line and function of the owner's package that an error came from, or nothing.
+
+    Parameters
+    ----------
+    error : BaseException
+    owner : class, callable or object
+        Of this package, too: then nothing.
+    """
+    while isinstance(owner, partial):
+        owner = owner.func
+    module = getattr(owner, "__module__", None) or type(owner).__module__
+    package = str(module).partition(".")[0]
+    if package in WITHIN:
+        return ""
+    words = ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        if str(frame.f_globals.get("__name__")).partition(".")[0] == package:
+            code, here = frame.f_code, os.path.join(os.getcwd(), "")
+            words = f"{code.co_filename.removeprefix(here)}, line {line}, in {code.co_name}"
+    return words

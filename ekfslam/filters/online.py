@@ -69,6 +69,7 @@ class EkfSlam:
         self._engine = self._options.engine(priors, self._options, known, kinds)
         self._ids: dict[int, int] = {}
         self._step = -1
+        self._nis = float("nan")
 
     def predict(self, increment: Any, covariance: Any) -> None:
         """Move the robot, or all of them.
@@ -134,7 +135,9 @@ class EkfSlam:
         self._engine.make_room(count, len(self._ids))
         seen = seen._replace(landmark=np.array(codes, dtype=np.int64))
         log = Log.of(1, 1, count, int(Decision.REJECTED))
-        if not self._engine.observe(seen, log):
+        done = self._engine.observe(seen, log)
+        self._nis = float(log.nis[0]) if log.dof[0] > 0 else float("nan")
+        if not done:
             raise InputError("the innovation covariance is not positive definite; check the noise")
         names = np.append(self._names(), -1)
         return Innovations(log.decision, names[log.landmark], log.innovation, log.S)
@@ -183,6 +186,16 @@ class EkfSlam:
         if not self._engine.is_point(index):
             raise InputError(f"landmark {landmark} is not a point yet: its distance is open")
         return self._engine.landmark(index)
+
+    @property
+    def association(self) -> str:
+        """The method: "known", or how identities are found."""
+        return self._engine.association
+
+    @property
+    def nis(self) -> float:
+        """Joint squared Mahalanobis norm of what was observed last, NaN if nothing corrected."""
+        return self._nis
 
     @property
     def pose(self) -> Array:
