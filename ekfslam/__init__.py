@@ -21,15 +21,19 @@ _HOMES = {
     "CampaignResults": "ekfslam.experiments",
     "Comparison": "ekfslam.experiments",
     "Dataset": "ekfslam.dataset",
+    "Decision": "ekfslam.estimates",
     "Ekf": "ekfslam.filters.ekf",
     "EkfSlam": "ekfslam.filters.online",
     "EkfslamError": "ekfslam.errors",
     "Estimate": "ekfslam.estimates",
     "FileFormatError": "ekfslam.errors",
+    "Innovations": "ekfslam.estimates",
     "InputError": "ekfslam.errors",
+    "LandmarkEstimates": "ekfslam.estimates",
     "LandmarkMap": "ekfslam.dataset",
     "MotionModel": "ekfslam.models.motion",
     "Observations": "ekfslam.dataset",
+    "OwnMotion": "ekfslam.own_models",
     "Prior": "ekfslam.dataset",
     "Robot": "ekfslam.dataset",
     "RobotPlan": "ekfslam.simulation",
@@ -37,16 +41,21 @@ _HOMES = {
     "Sensor": "ekfslam.models.sensors",
     "SensorPlan": "ekfslam.simulation",
     "Sightings": "ekfslam.dataset",
+    "Trajectory": "ekfslam.estimates",
     "UnknownNameError": "ekfslam.errors",
     "UnsupportedError": "ekfslam.errors",
     "association_study": "ekfslam.experiments",
     "check": "ekfslam.validation",
     "compare": "ekfslam.experiments",
+    "from_tables": "ekfslam.datasets.tables",
     "load_campaign": "ekfslam.experiments",
     "load_scenario": "ekfslam.simulation",
+    "propagated": "ekfslam.own_models",
     "read_campaign": "ekfslam.experiments",
     "run_campaign": "ekfslam.experiments",
     "simulate": "ekfslam.simulation",
+    "to_tables": "ekfslam.datasets.table_columns",
+    "write_tables": "ekfslam.datasets.table_files",
 }
 
 __all__ = [*_HOMES, "estimate", "load"]
@@ -63,7 +72,7 @@ def __dir__() -> list[str]:
 
 
 def load(source: str | Path, path: str | Path | None = None, **options: Any) -> Dataset:
-    """Load a recorded set by name, or a dataset file (``.npz``).
+    """Load a recorded set by name, a dataset file (``.npz``), or a folder of tables.
 
     Parameters
     ----------

@@ -10,22 +10,25 @@ from ekfslam.dataset import Dataset
 from ekfslam.datasets import RECORDED, is_recorded, load_recorded
 from ekfslam.datasets.graph_files import SUFFIXES as GRAPHS
 from ekfslam.datasets.graph_files import load as load_graph
+from ekfslam.datasets.places import there
+from ekfslam.datasets.table_files import HEADER, read_tables
 from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.registry import parse
 from ekfslam.simulation import Scenario, load_scenario, scenarios, simulate
 
 
 def open_dataset(
-    source: str | Path | Dataset, seed: int = 0, path: str | Path | None = None
+    source: str | Path | Dataset | Scenario, seed: int = 0, path: str | Path | None = None
 ) -> Dataset:
     """A dataset from whatever names it.
 
     Parameters
     ----------
-    source : str, path or Dataset
+    source : str, path, Dataset or Scenario
         A scenario or its TOML file (simulated with `seed`; values to set may follow, see
-        `open_scenario`), a recorded set, a file written by `Dataset.save` (``.npz``), or a graph
-        file (``.g2o``, ``.graph``, ``.pyfg``). Options of its loader may follow the name of a
+        `open_scenario`), a recorded set, a file written by `Dataset.save` (``.npz``), a folder of
+        CSV files with a ``dataset.toml`` (`ekfslam.datasets.table_files`), or a graph file
+        (``.g2o``, ``.graph``, ``.pyfg``). Options of its loader may follow the name of a
         recorded set, as in ``victoria-park(noise=file)``, and become part of the dataset's name,
         or that of a graph file, as in ``loop.g2o(unsupported=drop)``.
     seed : int
@@ -42,6 +45,8 @@ def open_dataset(
     """
     if isinstance(source, Dataset):
         return source
+    if isinstance(source, Scenario):
+        return simulate(source, seed=seed)
     name = str(source)
     if is_recorded(name.partition("(")[0].strip()):
         call = parse(name)
@@ -53,13 +58,17 @@ def open_dataset(
         return Dataset.load(name)
     if name.partition("(")[0].strip().endswith(GRAPHS):
         return _graph(name)
+    if Path(name).name == HEADER and there(Path(name), "controls.csv"):
+        return read_tables(Path(name).parent)
     scenario = name.partition("(")[0].strip()
     if scenario in scenarios() or scenario.endswith(".toml"):
         return simulate(open_scenario(name), seed=seed)
+    if name and (Path(name) / HEADER).exists():
+        return read_tables(name)
     if name and Path(name).exists():
         raise InputError(
             f"{name}: a dataset file ends in .npz, a scenario file in .toml, a graph file in "
-            f"{', '.join(GRAPHS)}"
+            f"{', '.join(GRAPHS)}, and a folder of tables has a {HEADER}"
         )
     raise UnknownNameError("dataset", name, [*scenarios(), *RECORDED])
 
