@@ -189,6 +189,7 @@ class FilterEstimator:
         making = time.perf_counter() - started
         association = str(getattr(slam, "association", None) or "known")
         _check_suits(slam, self.name, association, dataset)
+        message = _start_elsewhere(slam, self.name, dataset.prior)
         steps = dataset.poses
         poses, seconds, stated = np.empty((steps, POSE)), np.empty(steps), np.empty(steps)
         covariances, met = np.empty((steps, POSE, POSE)), []
@@ -223,6 +224,7 @@ class FilterEstimator:
             step_seconds=seconds,
             time_total=making + float(seconds.sum()),
             time_marginals=0.0,
+            message=message,
             options=dict(self.options),
         )
 
@@ -241,6 +243,18 @@ class FilterEstimator:
         if not is_filter(made):
             raise InputError(f"{self.name} made {made!r}, which has no predict and observe")
         return made
+
+
+def _start_elsewhere(slam: Any, name: str, prior: Prior) -> str:
+    """That a filter does not start where the dataset says, in words; nothing if it does."""
+    try:
+        start = Held(slam, name, 0).pose()[0]
+    except Exception:  # it need not hold a state before its first step
+        return ""
+    if np.allclose(start, [*prior.mean[:2], wrap(prior.mean[2])], rtol=0, atol=1e-9):
+        return ""
+    here, there = (", ".join(f"{x:.3g}" for x in pose) for pose in (start, prior.mean))
+    return f"starts at ({here}), not at the dataset's prior ({there}): take prior= to start there"
 
 
 def _check_suits(slam: Any, name: str, association: str, dataset: Dataset) -> None:

@@ -61,30 +61,31 @@ def blamed(owner: Any, when: str = "") -> Iterator[None]:
     except UnsupportedError:
         raise
     except Exception as error:
-        note = ", ".join(filter(None, (place(error, owner), when)))
+        note = ", ".join(filter(None, (place(error, _package_of(owner)), when)))
         if note:
             error.add_note(note)
         raise
 
 
-def place(error: BaseException, owner: Any) -> str:
-    """File, line and function of the owner's package that an error came from, or nothing.
+def place(error: BaseException, package: str) -> str:
+    """File, line and function in a package that an error came from last, or nothing.
 
     Parameters
     ----------
     error : BaseException
-    owner : class, callable or object
-        Of this package, too: then nothing.
+    package : str
+        Name of a package, or of a module outside of one. Of this one, nothing is said.
     """
-    while isinstance(owner, partial):
-        owner = owner.func
-    module = getattr(owner, "__module__", None) or type(owner).__module__
-    package = str(module).partition(".")[0]
-    if package in WITHIN:
-        return ""
     words = ""
     for frame, line in traceback.walk_tb(error.__traceback__):
         if str(frame.f_globals.get("__name__")).partition(".")[0] == package:
             code, here = frame.f_code, os.path.join(os.getcwd(), "")
             words = f"{code.co_filename.removeprefix(here)}, line {line}, in {code.co_name}"
-    return words
+    return "" if package in WITHIN else words
+
+
+def _package_of(owner: Any) -> str:
+    while isinstance(owner, partial):
+        owner = owner.func
+    module = getattr(owner, "__module__", None) or type(owner).__module__
+    return str(module).partition(".")[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
+from inspect import getattr_static
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,9 @@ class Held:
     def _has(self, attribute: str) -> bool:
         """Whether it is there; a property that fails is, and is asked again to say why."""
         try:
-            return getattr(self.slam, attribute, None) is not None
+            return getattr(self.slam, attribute) is not None
+        except AttributeError:
+            return getattr_static(self.slam, attribute, None) is not None
         except Exception:
             return True
 
@@ -116,18 +119,22 @@ class Held:
             value = self.slam.landmarks
         title = self._title("landmarks")
         if isinstance(value, Mapping):
-            points = list(value.values()) or np.zeros((0, POINT))
-            value = LandmarkEstimates(np.array(list(value), dtype=object), np.array(points))
-        elif not isinstance(value, LandmarkEstimates):
+            names: Any = list(value)
+            places: Any = list(value.values()) or np.zeros((0, POINT))
+        elif isinstance(value, LandmarkEstimates):
+            names, places = value.ids, value.positions
+        else:
             raise InputError(
                 f"{title} must be LandmarkEstimates, or positions (2,) by identity, "
                 f"got {type(value).__name__}"
             )
-        ids = checked_array(value.ids, np.int64, (None,), f"identities in {title}")
-        points = checked_array(value.positions, float, (len(ids), POINT), f"positions in {title}")
+        ids = checked_array(names, np.int64, (None,), f"identities in {title}")
+        points = checked_array(places, float, (len(ids), POINT), f"positions in {title}")
         check_finite(points, f"positions in {title}")
         self._check_distinct(ids, "landmarks")
-        return replace(deepcopy(value), ids=ids, positions=points)
+        if isinstance(value, LandmarkEstimates):
+            return replace(deepcopy(value), ids=ids, positions=points)
+        return LandmarkEstimates(ids, points)
 
     def _check_distinct(self, ids: np.ndarray, attribute: str) -> None:
         found, count = np.unique(ids, return_counts=True)

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from ekfslam.adapters import FilterEstimator, adapted, is_filter, name_of
 from ekfslam.dataset import Dataset
-from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
+from ekfslam.errors import InputError, UnknownNameError, UnsupportedError, place
 from ekfslam.estimates import Estimate
 
 GROUP = "ekfslam.estimators"
@@ -237,8 +237,19 @@ def _load(name: str) -> Any:
         for part in attribute.split("."):
             target = getattr(target, part)
     except Exception as error:
-        raise InputError(f"cannot load estimator {name!r}: {error}") from None
+        raise InputError(f"cannot load estimator {name!r}: {_why(error, module_name)}") from None
     return target
+
+
+def _why(error: Exception, module: str) -> str:
+    """Why a module or something in it cannot be loaded, and where in it that is."""
+    said = str(error)
+    if isinstance(error, ModuleNotFoundError) and error.name == module:
+        return f"{said}: there is no {module}.py in {os.getcwd()}, nor is it installed"
+    if not isinstance(error, ImportError | AttributeError | SyntaxError):
+        said = f"{type(error).__name__}: {said}"
+    where = place(error, module.partition(".")[0])
+    return f"{said} ({where})" if where else said
 
 
 def linear_oracle() -> Callable[..., Any]:

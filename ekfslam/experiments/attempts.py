@@ -8,7 +8,7 @@ from inspect import signature
 from typing import Any
 
 from ekfslam.dataset import Dataset
-from ekfslam.errors import InputError, UnsupportedError, in_words
+from ekfslam.errors import InputError, UnsupportedError, blamed, in_words
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import judged
 from ekfslam.registry import Estimator, estimator_name, resolve
@@ -64,7 +64,8 @@ def attempt(
             watch(dataset.name, name, done, total)
 
     try:
-        estimate = _call(subject, dataset, progress)
+        with blamed(subject):
+            estimate = _call(subject, dataset, progress)
         if not isinstance(estimate, Estimate):
             raise TypeError(f"estimate(dataset) returned {type(estimate).__name__}, not Estimate")
         titled = replace(estimate, estimator=name, dataset=dataset.name)
