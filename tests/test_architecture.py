@@ -64,6 +64,7 @@ LIBRARIES = {
     "rich": ("ekfslam.cli",),
     "psutil": ("ekfslam.checks",),
     "distributed": ("ekfslam.experiments.cluster",),
+    "jinja2": ("ekfslam.report.page",),
     "pyarrow": ("ekfslam.experiments.rows", "ekfslam.experiments.store"),
 }
 

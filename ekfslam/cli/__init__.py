@@ -18,6 +18,7 @@ from ekfslam.cli.printing import (
     print_summary,
 )
 from ekfslam.cli.progress import progress
+from ekfslam.cli.report import report
 
 HELP = """Compare hand-written EKF-SLAM with GTSAM smoothers of the same landmark graph.
 
@@ -335,7 +336,7 @@ def check(
 @app.command()
 def simulate(
     scenario: Annotated[str, typer.Argument(help="A name, or a .toml file.")],
-    out: Annotated[Path, typer.Option(help="File to write (.npz).")],
+    out: Annotated[Path, typer.Option(help="File (.npz), or a new folder for tables (CSV).")],
     seed: Seed = 0,
     noise: Annotated[float, typer.Option(help="Scale of all noise, stated and drawn.")] = 1.0,
     odometry_noise: Annotated[
@@ -346,20 +347,22 @@ def simulate(
         typer.Option(help="Write it as a g2o graph, too.", show_default=False),
     ] = None,
 ) -> None:
-    """Draw a dataset from a scenario into one file.
+    """Draw a dataset from a scenario into one file, or into a folder of CSV files.
 
     [bold]Example[/bold]
 
       ekfslam simulate park --seed 7 --out park-7.npz
+      ekfslam simulate park --seed 7 --out park-7
       ekfslam simulate "city(world.count=5000, path.steps=10000)" --out city.npz
     """
+    from ekfslam.datasets.table_files import write_tables
     from ekfslam.errors import InputError
     from ekfslam.experiments.sources import open_scenario
     from ekfslam.export import write_g2o
     from ekfslam.simulation import simulate as draw
 
-    if out.suffix != ".npz":
-        raise InputError(f"{out}: a dataset file ends in .npz")
+    if out.suffix not in (".npz", ""):
+        raise InputError(f"{out}: a dataset file ends in .npz, a folder of tables has no ending")
     for path in filter(None, (out, g2o)):
         if not path.parent.is_dir():
             raise InputError(f"cannot write {path}: there is no folder {path.parent}")
@@ -369,7 +372,10 @@ def simulate(
     if g2o is not None:  # first: it can be refused for what the dataset holds
         write_g2o(dataset, g2o)
         written.append(str(g2o))
-    dataset.save(out)
+    if out.suffix:
+        dataset.save(out)
+    else:
+        write_tables(dataset, out)
     print(
         f"{dataset.name}: {dataset.poses} poses, {len(dataset.observations)} observations "
         f"-> {', '.join(written)}"
@@ -430,3 +436,4 @@ def estimators() -> None:
 
 app.command()(campaign)
 app.command()(summary)
+app.command()(report)

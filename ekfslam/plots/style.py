@@ -214,6 +214,12 @@ def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
     return png, pdf
 
 
+def svg(figure: Figure) -> str:
+    """A figure as SVG, with text as text; same figure, same characters."""
+    undated = {"Date": None}
+    return _render(figure, "svg", dpi=200, metadata=undated).decode("utf-8")
+
+
 def _render(figure: Figure, form: str, **options: Any) -> bytes:
     stream = BytesIO()
     with style():
