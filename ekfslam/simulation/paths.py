@@ -68,6 +68,79 @@ def repeated(start: Array, controls: Array, repeat: int = 1) -> Path:
     return Path(np.asarray(start, dtype=float), np.tile(controls, (repeat, 1)))
 
 
+def through(poses: Array) -> Path:
+    """From one pose to the next, as listed.
+
+    Parameters
+    ----------
+    poses : (K + 1, 3) array_like
+        In the world [m, m, rad], the start first.
+
+    Returns
+    -------
+    Path
+        Controls are the increments between successive poses, for the motion model ``odometry``.
+
+    Raises
+    ------
+    InputError
+        If they are not two poses at least.
+    """
+    poses = np.asarray(poses, dtype=float)
+    if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < 2:
+        raise InputError("poses must be two at least, each (x, y, theta)")
+    return Path(poses[0], geo.between(poses[:-1], poses[1:]), "odometry")
+
+
+def along(points: Array, spacing: float, laps: int = 1) -> Path:
+    """Along straight lines from point to point, in steps of equal length.
+
+    The robot heads for the next point; at a corner it turns within a step. What is left of the last
+    line and shorter than a step is not driven.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        [m]
+    spacing : float
+        Length of a step along the lines [m].
+    laps : int
+        More than one return to the first point, and go round again.
+
+    Returns
+    -------
+    Path
+        Controls are the increments between successive poses, for the motion model ``odometry``.
+
+    Raises
+    ------
+    InputError
+        For points that are no list of at least two, two in a row that are the same, a spacing that
+        is not positive or longer than the way, and laps below 1.
+    """
+    points = np.asarray(points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
+        raise InputError("points must be two at least, each (x, y)")
+    if laps < 1:
+        raise InputError(f"laps must be at least 1, got {laps}")
+    corners = np.concatenate([np.tile(points, (laps, 1)), points[: int(laps > 1)]])
+    lines = np.diff(corners, axis=0)
+    lengths = np.hypot(*lines.T)
+    for number in np.flatnonzero(lengths == 0)[:1] % len(points):
+        raise InputError(f"point {number + 1} and the one after it are the same")
+    if not 0 < spacing <= lengths.sum():
+        raise InputError(f"spacing must be positive and at most the way, got {spacing}")
+    steps = lengths.sum() / spacing
+    if steps > MOST_STEPS:
+        raise InputError(f"a spacing of {spacing:g} m makes more than {MOST_STEPS} steps")
+    travelled = spacing * np.arange(int(steps * (1 + 1e-12)) + 1)
+    ends = np.cumsum(lengths)
+    line = np.minimum(np.searchsorted(ends, travelled, side="right"), len(lines) - 1)
+    within = (travelled - (ends - lengths)[line]) / lengths[line]
+    position = corners[line] + within[:, None] * lines[line]
+    return through(np.column_stack([position, np.arctan2(lines[line, 1], lines[line, 0])]))
+
+
 def figure_eight(centre: Array, amplitude: Array, spacing: float, laps: float = 1.0) -> Path:
     """The curve ``x = cx + ax cos t, y = cy + ay sin 2t``, in steps of equal arc length.
 
@@ -301,6 +374,8 @@ def _lines_and_arcs(city: Blocks, headings: list[int]) -> tuple[Array, Array, Ar
 
 PATHS: Mapping[str, Callable[..., Path]] = {
     "controls": repeated,
+    "poses": through,
+    "points": along,
     "figure-eight": figure_eight,
     "waypoints": steered,
     "unguided": unguided,

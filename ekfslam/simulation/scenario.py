@@ -49,6 +49,9 @@
     robots = ["one"]              # optional: who carries it, all by default
     mutual = true                 # optional: sees other robots, too
 
+Paths that are listed have the kind ``poses``, or ``points`` with a spacing, for the motion model
+``odometry``; all kinds are in `ekfslam.simulation.paths`.
+
 Points that are not ours to copy are named by file: ``file = "maps/some.mat"`` instead of the
 ``landmarks`` of a world of kind ``points``, or of the ``waypoints`` of a path of that kind; see
 `ekfslam.simulation.world_files`.
@@ -186,6 +189,7 @@ class Scenario:
             count = getattr(self, name)
             if count is not None and count < 1:
                 raise InputError(f"{name} must be at least 1, got {count}")
+        self._check_kinds()
         object.__setattr__(self, "sensors", tuple(self.sensors))
         object.__setattr__(self, "team", tuple(self.team))
         for name in ("start", "controls"):
@@ -195,6 +199,19 @@ class Scenario:
         self._check_descriptors()
         if not 0 <= self.known_map <= 1:
             raise InputError(f"known_map must be a share from 0 to 1, got {self.known_map}")
+
+    def _check_kinds(self) -> None:
+        """Say what is wanted where Python's own containers are likely to be given."""
+        if not isinstance(self.landmarks, LandmarkMap):
+            raise InputError(
+                "landmarks must be a LandmarkMap(ids, positions), such as "
+                f"LandmarkMap(range(4), positions); got {type(self.landmarks).__name__}"
+            )
+        if not isinstance(self.motion, MotionModel):
+            raise InputError(f"motion must be a MotionModel, got {type(self.motion).__name__}")
+        listed = isinstance(self.sensors, tuple | list)
+        if not listed or not all(isinstance(sensor, Sensor) for sensor in self.sensors):
+            raise InputError(f"sensors must be a list of Sensor, got {self.sensors!r}")
 
     def _check_robots(self) -> None:
         names = [plan.name for plan in self.robot_plans]
