@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 WITHIN = ("ekfslam", "baselines")  # whose files are not a user's
@@ -78,9 +78,12 @@ def place(error: BaseException, package: str) -> str:
     """
     words = ""
     for frame, line in traceback.walk_tb(error.__traceback__):
-        if str(frame.f_globals.get("__name__")).partition(".")[0] == package:
-            code, here = frame.f_code, os.path.join(os.getcwd(), "")
-            words = f"{code.co_filename.removeprefix(here)}, line {line}, in {code.co_name}"
+        module = str(frame.f_globals.get("__name__"))
+        if module.partition(".")[0] == package:
+            file = Path(frame.f_code.co_filename)
+            above = module.count(".") + (file.name == "__init__.py")
+            # From the package on: wherever it is installed, the words are the same.
+            words = f"{'/'.join(file.parts[-1 - above :])}, line {line}, in {frame.f_code.co_name}"
     return "" if package in WITHIN else words
 
 

@@ -9,7 +9,8 @@ with ``predict`` and ``observe``, and functions of a dataset, become one (`ekfsl
 
 from __future__ import annotations
 
-import importlib
+import hashlib
+import importlib.util
 import inspect
 import os
 import re
@@ -18,6 +19,8 @@ from ast import literal_eval
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from ekfslam.adapters import FilterEstimator, adapted, is_filter, name_of
@@ -230,15 +233,27 @@ def _load(name: str) -> Any:
     if ":" not in name:
         raise UnknownNameError("estimator", name, known)
     module_name, _, attribute = name.partition(":")
-    if os.getcwd() not in sys.path:  # a user's module lives where the command is run
-        sys.path.insert(0, os.getcwd())
     try:
-        target = importlib.import_module(module_name)
+        target = _imported(module_name)
         for part in attribute.split("."):
             target = getattr(target, part)
     except Exception as error:
         raise InputError(f"cannot load estimator {name!r}: {_why(error, module_name)}") from None
     return target
+
+
+_states: dict[str, str] = {}  # of modules when they were imported from here
+
+
+def _imported(name: str) -> ModuleType:
+    """A module as its file is now: a notebook need not start anew after an edit."""
+    importlib.invalidate_caches()  # it may have been written a moment ago
+    state = _module(name)
+    module = importlib.import_module(name)
+    if _states.get(name, state) != state:
+        module = importlib.reload(module)
+    _states[name] = state
+    return module
 
 
 def _why(error: Exception, module: str) -> str:
@@ -250,6 +265,51 @@ def _why(error: Exception, module: str) -> str:
         said = f"{type(error).__name__}: {said}"
     where = place(error, module.partition(".")[0])
     return f"{said} ({where})" if where else said
+
+
+def origin(estimator: str) -> str:
+    """What an estimator comes from, if not from this package, and which state of it.
+
+    Parameters
+    ----------
+    estimator : str
+        A name or ``module:attribute``, as for `resolve`.
+
+    Returns
+    -------
+    str
+        ``package version`` of one that has joined; of ``module:attribute`` the name of the module
+        and a digest of its file, or of all files of its package. Empty for all others.
+    """
+    name = parse(estimator).name
+    return _package(name) if name in registered() else _module(name.partition(":")[0])
+
+
+@cache  # names and versions are read from a file, too
+def _package(name: str) -> str:
+    package = registered()[name].dist
+    if package is None or package.name == "ekfslam":
+        return ""
+    return f"{package.name} {package.version}"
+
+
+def _module(name: str) -> str:
+    """A module's top-level name and the digest of its files as they are now."""
+    top = name.partition(".")[0]
+    if os.getcwd() not in sys.path:  # a user's module lives where the command is run
+        sys.path.insert(0, os.getcwd())
+    try:
+        spec = importlib.util.find_spec(top)
+    except (ImportError, ValueError):
+        spec = None
+    if spec is None or spec.origin is None:
+        return ""
+    folders = spec.submodule_search_locations or []
+    files = sorted(path for folder in folders for path in Path(folder).rglob("*.py"))
+    digest = hashlib.sha256()
+    for path in files or [Path(spec.origin)]:
+        digest.update(path.read_bytes())
+    return f"{top} {digest.hexdigest()[:8]}"
 
 
 def linear_oracle() -> Callable[..., Any]:

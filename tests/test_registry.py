@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from importlib.metadata import EntryPoint
 
@@ -127,6 +128,29 @@ def test_what_cannot_be_loaded(name, message):
     with pytest.raises(InputError, match=message) as caught:
         resolve(name)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.usefixtures("mine")
+def test_a_module_that_was_edited_is_loaded_anew(folder):
+    old, known = resolve("my_estimators:Mine"), registry.origin("my_estimators:Mine")
+    assert resolve("my_estimators:Mine").__class__ is old.__class__
+    (folder / "my_estimators.py").write_text(MODULE.replace("gate=0.5", "gate=0.875"))
+    assert resolve("my_estimators:Mine").gate == 0.875
+    assert registry.origin("my_estimators:Mine(gate=1)") != known
+
+
+@pytest.mark.usefixtures("mine")
+def test_where_an_estimator_comes_from(folder):
+    assert registry.origin("ekf(association=joint)") == registry.origin("gtsam-batch") == ""
+    assert re.fullmatch("my_estimators [0-9a-f]{8}", registry.origin("my_estimators:Mine"))
+    assert registry.origin("absent_module:Mine") == ""
+    (folder / "package").mkdir()
+    (folder / "package" / "__init__.py").write_text("")
+    (folder / "package" / "parts.py").write_text("import numpy")
+    before = registry.origin("package.parts:Mine")
+    assert before.startswith("package ")
+    (folder / "package" / "other.py").write_text("import math")
+    assert registry.origin("package.parts:Mine") != before
 
 
 @pytest.mark.parametrize(

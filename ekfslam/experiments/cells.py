@@ -22,7 +22,7 @@ from ekfslam.evaluation.run_metrics import run_metrics
 from ekfslam.experiments.attempts import attempt
 from ekfslam.experiments.files import versions
 from ekfslam.experiments.rows import SCHEMAS, stacked, table_of
-from ekfslam.registry import Estimator, estimator_name, resolve
+from ekfslam.registry import Estimator, estimator_name, origin, resolve
 from ekfslam.simulation import Scenario, simulate
 
 if TYPE_CHECKING:
@@ -133,8 +133,8 @@ def work(unit: Unit) -> dict[str, pa.Table]:
 
 def failed(unit: Unit, message: str) -> dict[str, pa.Table]:
     """Rows that say why there is no estimate."""
-    shared = _keys(unit) | {"status": FAILED, "message": " ".join(message.split())}
-    rows = [shared | {"estimator": name} for name in unit.estimators]
+    shared = {"status": FAILED, "message": " ".join(message.split())}
+    rows = [shared | {"estimator": name} | _keys(unit, name) for name in unit.estimators]
     parts = {"runs": rows, "steps": [], "timings": rows}
     return {name: table_of(name, some) for name, some in parts.items()}
 
@@ -164,7 +164,7 @@ def _tabulated(
         {k: v[kept] if isinstance(v, np.ndarray) else v for k, v in columns.items()}
         for columns in tables.trajectory_columns(dataset, estimate)
     ]
-    keys = _keys(unit)
+    keys = _keys(unit, estimate.estimator)
     runs = [a | b | keys for a, b in zip(summary, metrics, strict=True)]
     return {
         "runs": table_of("runs", runs),
@@ -173,9 +173,11 @@ def _tabulated(
     }
 
 
-def _keys(unit: Unit) -> dict[str, Any]:
+def _keys(unit: Unit, estimator: str) -> dict[str, Any]:
+    text = unit.estimators.get(estimator)  # none of a reference that is not in the campaign
+    words = [versions_in_words(), origin(text) if text else ""]
     keys = {"campaign": unit.campaign, "scenario": unit.label, "scenario_hash": unit.digest}
-    return keys | {"seed": unit.seed, "versions": versions_in_words()}
+    return keys | {"seed": unit.seed, "versions": ", ".join(filter(None, words))}
 
 
 @cache

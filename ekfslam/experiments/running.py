@@ -19,6 +19,7 @@ from ekfslam.experiments.files import check_folder, versions, write_together
 from ekfslam.experiments.reading import load_campaign
 from ekfslam.experiments.results import CampaignResults, read_campaign
 from ekfslam.experiments.store import FILE, SUPERSEDED, Identity, Store, identity, unit_name
+from ekfslam.registry import origin
 
 Tell = Callable[[str], None]
 
@@ -122,6 +123,14 @@ def _settled(
         dtype=bool,
     )
     wanted &= cells["digest"].isin([variant.digest for variant in campaign.variants])
+    edited = wanted & _edited(campaign, cells)
+    if edited.any():
+        again = cells[FILE].isin(cells[FILE][edited])
+        store.set_aside(cells[FILE][again].unique())
+        names = ", ".join(cells["estimator"][edited].unique())
+        place = store.folder / SUPERSEDED
+        tell(f"the module of {names} has changed: {again.sum()} cells are set aside in {place}")
+        cells, wanted = cells[~again], wanted[~again]
     broken = wanted & (cells["status"] == FAILED)
     if retry_failed and broken.any():
         again = cells[FILE].isin(cells[FILE][broken])
@@ -131,9 +140,10 @@ def _settled(
         tell(f"{broken.sum()} cells failed before and are not run again, unless retried")
     if wanted.any():
         tell(f"{wanted.sum()} of {campaign.cells} cells are there already")
+    now = {*versions_in_words().split(", "), *map(origin, campaign.estimators.values())}
     for other, count in cells["versions"][wanted].value_counts().items():
-        if other != versions_in_words():
-            tell(f"{count} of them stay from other versions: {_differing(str(other))}")
+        if differing := [word for word in str(other).split(", ") if word not in now]:
+            tell(f"{count} of them stay from other versions: {', '.join(differing)}")
     by_draw = cells.groupby(["digest", "seed"])["estimator"]
     return {key: set(names) for key, names in by_draw}  # type: ignore[misc]
 
@@ -155,7 +165,9 @@ def _current(campaign: Campaign, cells: pd.DataFrame, store: Store, tell: Tell) 
     return cells[~gone]
 
 
-def _differing(other: str) -> str:
-    """What of the versions of then is not so now."""
-    now = set(versions_in_words().split(", "))
-    return ", ".join(word for word in other.split(", ") if word not in now)
+def _edited(campaign: Campaign, cells: pd.DataFrame) -> pd.Series:
+    """Cells of estimators whose modules, of the user's own, are not what they were."""
+    origins = {name: origin(text) for name, text in campaign.estimators.items() if ":" in text}
+    pairs = zip(cells["estimator"], cells["versions"], strict=True)
+    changed = [origins.get(name, "") not in ["", *said.split(", ")] for name, said in pairs]
+    return pd.Series(changed, index=cells.index, dtype=bool)
