@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from shutil import get_terminal_size
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from ekfslam.experiments import AssociationStudy, CampaignResults, PartialStudy
-    from ekfslam.validation import Report
+    from ekfslam.validation import Finding, Report
 
 WIDE = 150  # columns that a table may take
 
@@ -96,9 +97,22 @@ def print_report(report: Report) -> None:
             escape(rung.detail),
         )
     console.print(table)
+    if report.findings:
+        _print_findings(report.findings)
     if report.consistent is not None:
         print("consistent" if report.consistent else "not consistent, which is no failure")
     print("passed" if report.passed else "FAILED")
+
+
+def _print_findings(findings: Sequence[Finding]) -> None:
+    """What is wrong, in words, in lines that fit a narrow terminal."""
+    print("\nwhat is wrong, most likely")
+    for number, finding in enumerate(findings, start=1):
+        lines = {f"{number}. {finding.stage}": finding.says, **finding.details}
+        for indent, (heading, text) in enumerate(lines.items()):
+            first = ("   " if indent else "") + f"{heading}: "
+            print(textwrap.fill(text, 80, initial_indent=first, subsequent_indent=5 * " "))
+    print()
 
 
 def print_study(study: AssociationStudy) -> None:

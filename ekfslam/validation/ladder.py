@@ -14,6 +14,7 @@ from ekfslam.errors import UnsupportedError
 from ekfslam.registry import Estimator, estimator_name, resolve
 from ekfslam.simulation import simulate
 from ekfslam.validation import gauge, rungs
+from ekfslam.validation.diagnosis import Finding, diagnose
 
 PASS, FAIL, NOT_APPLICABLE = "pass", "fail", "does not apply"
 INCONSISTENT = "inconsistent"
@@ -65,10 +66,14 @@ class Report:
     ----------
     estimator : str
     rungs : tuple of Rung
+    findings : tuple of Finding
+        What is wrong, and what the mistake most likely is. If no rung failed, mistakes that have a
+        name alone: scenarios do not show everything.
     """
 
     estimator: str
     rungs: tuple[Rung, ...]
+    findings: tuple[Finding, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -92,7 +97,9 @@ class Report:
         return pd.DataFrame([[getattr(r, n) for n in names] for r in self.rungs], columns=names)
 
     def _repr_html_(self) -> str:
-        return self.table.to_html(index=False)
+        return self.table.to_html(index=False) + "".join(
+            finding._repr_html_() for finding in self.findings
+        )
 
 
 def check(
@@ -113,6 +120,9 @@ def check(
 
     6. A robot that stands still, unsure of its heading, learns nothing of its pose.
     7. The prior of the first pose changes no whitened innovation.
+
+    A filter is also run on a few tiny probes, to say in words what is wrong with it, see
+    `ekfslam.validation.diagnose`.
 
     Parameters
     ----------
@@ -142,7 +152,11 @@ def check(
         for scenario, dataset in datasets.items():
             blank = Rung(number, name, scenario, FAIL, float("nan"), bound, "")
             found.append(_climb(blank, measure, subject, dataset, seed))
-    return Report(estimator_name(estimator), tuple(found))
+    report = Report(estimator_name(estimator), tuple(found))
+    findings = diagnose(subject)
+    if report.passed:
+        findings = tuple(finding for finding in findings if finding.named)
+    return replace(report, findings=findings)
 
 
 def _climb(
