@@ -430,7 +430,8 @@ def estimators() -> None:
             doc = (point.load().__doc__ or "").strip().partition("\n")[0]
         except Exception as error:
             doc = f"cannot be loaded: {error}"
-        rows.append((name, f"{doc} ({point.value})"))
+        joined = registry.origin(name)
+        rows.append((name, f"{doc} ({point.value}{f' of {joined}' if joined else ''})"))
     print_list(rows)
 
 
