@@ -43,6 +43,9 @@ def test_blocks_run_in_order(page, tmp_path, monkeypatch, run_command, capsys):
                 assert command == "ekfslam"
                 run = run_command(*words)
                 assert run.status == 0, run.err
+                assert not re.search(
+                    " (skipped|failed|diverged) ", run.out.replace("NEES skipped", "")
+                )
         else:
             assert language == "text"
             assert printed == text

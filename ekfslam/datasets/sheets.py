@@ -140,7 +140,7 @@ class Sheet(NamedTuple):
         """
         if not self.has(column):
             if len(known) != 1 and len(self):
-                listed = ", ".join(known) or "none, of which the header must tell"
+                listed = ", ".join(known)
                 self.refuse(f"the column {column!r} is missing, which names a {what}: {listed}")
             return np.zeros(len(self), dtype=np.int64)
         index = {name: number for number, name in enumerate(known)}

@@ -143,6 +143,8 @@ def sightings(
     sheet: Sheet, names: Sequence[str], sensors: Sequence[Sensor], times: Array, header: Header
 ) -> tuple[Observations, np.ndarray | None]:
     """Sightings, and their true landmarks if the sheet has them."""
+    if len(sheet) and not sensors:
+        sheet.refuse("the header names no sensors, of which it must tell kind and noise")
     values = dict.fromkeys(name for sensor in sensors for name in sensor.view.names)
     noise = dict.fromkeys(n for s in sensors for n in noise_columns(s.view.names))
     fixed = ("robot", "step", "time", "sensor", "landmark", "observed_robot", "descriptor")
