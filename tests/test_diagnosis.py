@@ -84,3 +84,43 @@ def test_a_seeded_mistake_is_named(key):
 @pytest.mark.parametrize("update", ["joint", "sequential"])
 def test_the_mistakes_of_the_textbook_are_named(mistake, name, update):
     assert names(TextbookEkf(mistake, update)) == (name,)
+
+
+# What the diagnosis knows -----------------------------------------------------------------------
+
+FORMS = [
+    pytest.param(mistake, form, id="+".join(form))
+    for mistake in CATALOGUE
+    for form in mistake.switches
+]
+
+
+class Planted:
+    """The textbook filter of the diagnosis itself, with a mistake switched on.
+
+    It tells as much as `parts` says.
+    """
+
+    def __init__(self, wrong, parts=("covariances", "landmarks", "joint")):
+        self.wrong, self.parts = wrong, parts
+
+    def estimate(self, dataset):
+        answer, _ = run(dataset, self.wrong)
+        mapped = LandmarkEstimates(answer.ids, answer.positions, answer.marginals)
+        return Estimate(
+            "planted",
+            dataset.name,
+            "known",
+            Trajectory(answer.poses, answer.covariances if "covariances" in self.parts else None),
+            landmarks=mapped if "landmarks" in self.parts else None,
+            joint_covariance=answer.joint if "joint" in self.parts else None,
+        )
+
+
+@pytest.mark.parametrize(("mistake", "form"), FORMS)
+def test_every_mistake_of_the_catalogue_is_told_from_every_other(mistake, form):
+    factor = 0.3 if mistake.fitted else 1.0
+    found = diagnose(Planted(dict.fromkeys(form, factor)))
+    assert [finding.mistakes for finding in found] == [(mistake.name,)]
+    assert "0.3" in found[0].says or not mistake.fitted
+    assert "{" not in found[0].says + found[0].usually

@@ -32,7 +32,7 @@ from ekfslam.validation.matching import (
     gap_between,
     gap_of,
     grown,
-    in_some_order,
+    in_some_style,
     own_noise,
 )
 from ekfslam.validation.mistakes import GATE, LINES, OWN_NOISE
@@ -100,6 +100,7 @@ class Sharpness(NamedTuple):
 EXACT = Sharpness(1.0, 1e-8)  # round-off, and a good deal more
 FIRST_ORDER = Sharpness(1e-3, 1e-2)  # right filters agree here, up to a few scales
 FINER = 1 / 16  # where a deviation of second order
+NEGLIGIBLE = 1e-5  # sigma: what stands for infinity or zero, and no mistake
 UNEASY = 0.1  # standing still, with a share of the noise of moving
 SHRUNK = 1 / 4  # has become smaller than this
 
@@ -203,14 +204,16 @@ class _Trial:
     def _judge(self, case: Case) -> None:
         tolerance, cases = self.sharpness.tolerance, [*self.explained, case]
         still = [each for each in self.hypotheses if fits([case], each, tolerance)]
-        still = still or in_some_order(cases, self.hypotheses, tolerance)
+        still = still or in_some_style(cases, self.hypotheses, tolerance)
         if still:
             self.hypotheses, self.explained = still, cases
             return
-        if self._of_second_order(case.probe):
-            return
-        more = [each for each in grown(cases, self.hypotheses, tolerance) if self._holds(each)]
         before = self._least_gap(case)
+        if before.size <= NEGLIGIBLE or self._of_second_order(case.probe):
+            return
+        most = 2 if self.sharpness is EXACT else 1
+        more = grown(cases, self.hypotheses, tolerance, most)
+        more = [each for each in more if self._holds(each)]
         if not more:
             self.unnamed[case.probe.stage] = _without_name(case, before)
             return
@@ -230,7 +233,7 @@ class _Trial:
         scale, uneasy = self.sharpness.scale, probe._replace(rest=UNEASY)
         cases = [self._case(uneasy, each) for each in (scale, FINER * scale)]
         sizes = [self._least_gap(case).size for case in cases if case is not None]
-        return len(sizes) == 2 and sizes[1] <= max(SHRUNK * sizes[0], self.sharpness.tolerance)
+        return len(sizes) == 2 and sizes[1] <= max(SHRUNK * sizes[0], NEGLIGIBLE)
 
     def _holds(self, hypothesis: Hypothesis) -> bool:
         """Whether a noise that is taken for the filter's own is the same when less is given."""

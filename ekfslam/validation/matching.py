@@ -8,7 +8,7 @@ grow by one mistake, or by two.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.geometry import Array
-from ekfslam.validation.mistakes import CATALOGUE, OWN_NOISE, STYLES, Mistake
+from ekfslam.validation.mistakes import CATALOGUE, OWN_NOISE, Mistake
 from ekfslam.validation.probes import Probe
 from ekfslam.validation.suspects import Answer, run
 
@@ -68,22 +68,21 @@ class Hypothesis(NamedTuple):
     Attributes
     ----------
     charges : tuple of Charge
-    style : str or None
-        In which order it takes several sightings: not a mistake.
+    style : tuple of str
+        Ways to do it that are no mistakes.
     gate : float
         Squared distance beyond which it rejects sightings.
     """
 
     charges: tuple[Charge, ...] = ()
-    style: str | None = None
+    style: tuple[str, ...] = ()
     gate: float = float("inf")
 
     @property
     def wrong(self) -> dict[str, Any]:
         """As `ekfslam.validation.suspects.run` takes it."""
         switches = [pair for charge in self.charges for pair in charge.switches]
-        style = {self.style: 1.0} if self.style else {}
-        return {**dict(switches), **style, "gate": self.gate}
+        return {**dict(switches), **dict.fromkeys(self.style, 1.0), "gate": self.gate}
 
 
 def gap_of(case: Case, wrong: Mapping[str, Any]) -> Gap:
@@ -142,29 +141,36 @@ def fits(cases: Sequence[Case], hypothesis: Hypothesis, tolerance: float) -> boo
     return all(gap_of(case, wrong).size <= tolerance for case in reversed(cases))
 
 
-def in_some_order(
+def in_some_style(
     cases: Sequence[Case], hypotheses: Sequence[Hypothesis], tolerance: float
 ) -> list[Hypothesis]:
-    """Those that explain the cases, in whatever order they take several sightings."""
-    ordered = [
-        each._replace(style=style)
-        for each in hypotheses
-        for style in ((None, *STYLES) if each.style is None else (each.style,))
-    ]
-    good = [each for each in ordered if fits(cases, each, tolerance)]
-    plain = [each for each in good if each.style is None]
-    return plain or good
+    """Those that explain the cases, if need be in another style than before."""
+    found: list[Hypothesis] = []
+    for each in hypotheses:
+        tried = _in_styles(each, cases[-1].probe.styles)
+        found += next(([one] for one in tried if fits(cases, one, tolerance)), [])
+    return found
+
+
+def _in_styles(
+    hypothesis: Hypothesis, axes: tuple[tuple[str | None, ...], ...]
+) -> Iterator[Hypothesis]:
+    """The same in every style that goes with those that it has shown before."""
+    shown = [[way for way in axis if way in hypothesis.style] for axis in axes]
+    for ways in product(*(was or axis for was, axis in zip(shown, axes, strict=True))):
+        style = dict.fromkeys([*hypothesis.style, *filter(None, ways)])
+        yield hypothesis._replace(style=tuple(style))
 
 
 def grown(
-    cases: Sequence[Case], hypotheses: Sequence[Hypothesis], tolerance: float
+    cases: Sequence[Case], hypotheses: Sequence[Hypothesis], tolerance: float, most: int = 2
 ) -> list[Hypothesis]:
     """Hypotheses with one mistake more, or with two, that explain all cases; none if none does."""
-    for more in (_singly, _fitted, _own, _in_pairs):
+    for more in (_singly, _fitted, _own, *([_in_pairs] if most > 1 else [])):
         found = [
             each
             for hypothesis in hypotheses
-            for each in in_some_order(cases, list(more(cases, hypothesis)), tolerance)
+            for each in in_some_style(cases, list(more(cases, hypothesis)), tolerance)
         ]
         if found:
             return found

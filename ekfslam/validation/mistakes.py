@@ -377,6 +377,7 @@ CATALOGUE: tuple[Mistake, ...] = (
         "divides by the range and not by its square in the row of the bearing",
         "1/sqrt(q) for 1/q",
         _H,
+        (("h-root-of-q",), ("h-root-of-q", "whole-row")),
     ),
     Mistake(
         "innovation-sign",
@@ -502,4 +503,3 @@ LINES = {
     ANGLES: _NU,
     MOUNT: _MOUNT,
 }
-STYLES = ("sequential", "in-order")  # right, and other numbers than a joint correction

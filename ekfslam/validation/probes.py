@@ -87,6 +87,13 @@ class Probe(NamedTuple):
         through |= {CORRECTION} if again else set()
         return frozenset(through - {self.stage})
 
+    @property
+    def styles(self) -> tuple[tuple[str | None, ...], ...]:
+        """In what right filters differ here, and how: a way of each tuple."""
+        crowded = len({step for step, _ in self.looks}) < len(self.looks)
+        orders, mounts = (None, "sequential", "in-order"), (None, "mount-last")
+        return (orders if crowded else (None,), mounts if self.mount.any() else (None,))
+
     def dataset(self, kind: str, scale: float = 1.0) -> Dataset:
         """The run, with all uncertainty scaled.
 
@@ -145,7 +152,7 @@ ANGULAR = (  # judged when it is known where a filter rejects what is far off
         ANGLES,
         ((0, 3), (1, 3), (2, 3), (3, 3)),
         np.zeros((3, 3)),
-        {3: [-4.0, 0.01]},
+        {3: [-4.0, 0.0]},
     ),
     Probe("a heading that passes pi", ANGLES, TWICE, ONE, heading=2.8),
     Probe("a landmark in the direction pi", ANGLES, TWICE, MOVES[1:], heading=2.8),

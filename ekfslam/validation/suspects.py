@@ -243,25 +243,30 @@ class _Suspect:
             expected[1] = np.arctan2(apart[1], apart[0]) - x[2] - mount[2]
         if "expected-without-heading" in wrong and view.angular[1]:
             expected[1] = geo.wrap(expected[1] + frame[2])
-        wrt_frame, wrt_point = geo.to_frame_jacobians(frame, x[at : at + 2])
-        wrt_frame, wrt_point = (view.project_jacobian(local) @ J for J in (wrt_frame, wrt_point))
+        of_robot, of_point = geo.to_frame_jacobians(frame, x[at : at + 2])
+        of_robot, of_point = (view.project_jacobian(local) @ J for J in (of_robot, of_point))
+        lever = self._lever(mount)
+        if "mount-last" in wrong:
+            of_robot = of_robot @ lever
         if wrong.keys() & {"h-transposed", "h-robot-transposed"}:
-            wrt_frame[:, :2] = wrt_frame[:, :2].T.copy()
+            of_robot[:, :2] = of_robot[:, :2].T.copy()
         if wrong.keys() & {"h-transposed", "h-landmark-transposed"}:
-            wrt_point = wrt_point.T
+            of_point = of_point.T
         if "h-heading-missing" in wrong:
-            wrt_frame[:, 2] = 0.0
+            of_robot[:, 2] = 0.0
         if "h-heading-sign" in wrong:
-            wrt_frame[:, 2] *= -1
+            of_robot[:, 2] *= -1
         if "h-landmark-sign" in wrong:
-            wrt_point = -wrt_point
+            of_point = -of_point
         if "h-robot-sign" in wrong:
-            wrt_frame[:, :2] *= -1
+            of_robot[:, :2] *= -1
         if "h-root-of-q" in wrong and view.angular[1]:
-            wrt_frame[1, :2] *= expected[0]
-            wrt_point = wrt_point * np.array([[1.0], [expected[0]]])
+            of_robot[1, : 3 if "whole-row" in wrong else 2] *= expected[0]
+            of_point = of_point * np.array([[1.0], [expected[0]]])
+        if "mount-last" not in wrong:
+            of_robot = of_robot @ lever
         H = np.zeros((2, len(self.x)))
-        H[:, :3], H[:, at : at + 2] = wrt_frame @ self._lever(mount), wrt_point
+        H[:, :3], H[:, at : at + 2] = of_robot, of_point
         return expected, self._innovation(self._value(i), expected, view.angular), H
 
     def _value(self, i: int) -> Array:
