@@ -26,16 +26,19 @@ def central_differences(
     ----------
     function : callable
     point : (n, d) ndarray
-    step : float or (d,) array_like
+    step : float or (n, d) array_like
         Of each input.
 
     Returns
     -------
     (n, m, d) ndarray
     """
+    steps = np.broadcast_to(step, point.shape)
     columns = []
-    for nudge in np.diag(np.broadcast_to(step, point.shape[1:]).astype(float)):
+    for axis in range(point.shape[1]):
+        nudge = np.zeros_like(point)
+        nudge[:, axis] = steps[:, axis]
         near = function(point + nudge) - function(point - nudge)
         far = function(point + 2 * nudge) - function(point - 2 * nudge)
-        columns.append((8 * near - far) / (12 * nudge.sum()))
+        columns.append((8 * near - far) / (12 * steps[:, axis, None]))
     return np.stack(columns, axis=-1)

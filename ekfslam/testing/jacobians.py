@@ -247,7 +247,7 @@ def _deviation(case: _Case, tolerance: float) -> float:
         apart = case.function(moved) - here
         return np.where(case.angular, wrap(apart), apart)
 
-    step = STEP * np.maximum(1.0, np.abs(case.at).max(axis=0))
+    step = STEP * np.maximum(1.0, np.abs(case.at))
     numeric = central_differences(away, case.at, step)
     given = np.asarray(case.jacobian(case.at), dtype=float)
     if given.shape != numeric.shape:
