@@ -90,14 +90,37 @@ def read_results(folder: str | Path) -> ComparisonFolder | CampaignFolder:
     if not folder.is_dir():
         raise FileFormatError(f"{folder}: there is no such folder; give one that --out named")
     config = _read_config(folder / "config.json")
-    if "campaign" in config:
+    if _of_campaign(config):
         return _read_campaign(folder)
-    if not all(isinstance(config.get(key), dict) for key in ("datasets", "estimators")):
-        raise FileFormatError(
-            f"{folder / 'config.json'}: neither of a comparison nor of a campaign; "
-            "give a folder that ekfslam compare or ekfslam campaign wrote"
-        )
-    return _read_comparison(folder, config)
+    if _of_comparison(config):
+        return _read_comparison(folder, config)
+    raise FileFormatError(
+        f"{folder / 'config.json'}: neither of a comparison nor of a campaign, or damaged; "
+        "give a folder that ekfslam compare or ekfslam campaign wrote"
+    )
+
+
+def _of_comparison(config: Mapping[str, Any]) -> bool:
+    parts = [config.get(key) for key in ("datasets", "estimators")]
+    return all(
+        isinstance(part, dict) and all(isinstance(each, dict) for each in part.values())
+        for part in parts
+    )
+
+
+def _of_campaign(config: Mapping[str, Any]) -> bool:
+    """Whether everything is there that the page tells of a campaign."""
+    kinds = {"scenarios": list, "seeds": list, "estimators": dict, "metrics": dict, "compare": dict}
+    if "campaign" not in config or any(
+        not isinstance(config.get(key), kind) for key, kind in kinds.items()
+    ):
+        return False
+    scenarios = ("label", "name", "swept", "hash")
+    return (
+        all(isinstance(each, dict) and each.keys() >= {*scenarios} for each in config["scenarios"])
+        and all(isinstance(seed, int) for seed in config["seeds"])
+        and config["metrics"].keys() >= {"skip", "diverged_above", "digest"}
+    )
 
 
 def _read_config(path: Path) -> dict[str, Any]:
@@ -141,10 +164,21 @@ def _read_campaign(folder: Path) -> CampaignFolder:
             timings=kept.timings,
             cells=kept.cells,
         )
+    summary = _needed(folder, "summary", STATISTICS)
+    for column, named in (
+        ("estimator", set(kept.config["estimators"])),
+        ("scenario", {scenario["label"] for scenario in kept.config["scenarios"]}),
+    ):
+        strangers = sorted(set(summary[column].astype(str)) - named)
+        if strangers:
+            raise FileFormatError(
+                f"{folder / 'summary.csv'}: {column} {strangers[0]} is not in config.json; they "
+                "belong to different campaigns"
+            )
     return CampaignFolder(
         folder,
         kept.config,
-        summary=_needed(folder, "summary", STATISTICS),
+        summary=summary,
         pairs=_needed(folder, "pairs", PAIRS),
         over_time=_needed(folder, "nees_over_time", OVER_TIME),
         runs=_optional(folder, "runs", CAMPAIGN["runs"]),
@@ -196,6 +230,7 @@ def _read_parquet(path: Path, schema: Schema) -> pd.DataFrame:
 
 def _read_csv(path: Path, schema: Schema) -> pd.DataFrame:
     """Through text, so that a damaged number is told with its line."""
+    _check_end(path)
     try:
         text = pd.read_csv(path, dtype="string", keep_default_na=False, na_values=[""])
     except (OSError, ValueError) as error:  # the parser's own words name the line
@@ -209,6 +244,15 @@ def _read_csv(path: Path, schema: Schema) -> pd.DataFrame:
         except (ValueError, TypeError):
             raise FileFormatError(_fault(path, text, name, dtype)) from None
     return pd.DataFrame(columns)
+
+
+def _check_end(path: Path) -> None:
+    """A file that was cut short ends in the middle of a line."""
+    content = path.read_bytes()
+    if content and not content.endswith(b"\n"):
+        raise FileFormatError(
+            f"{path}, line {content.count(bytes([10])) + 1}: the file ends in the middle of a line"
+        )
 
 
 def _check_columns(path: Path, table: pd.DataFrame, schema: Schema) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
+from ekfslam.errors import InputError
 from ekfslam.report import campaign, comparison
 from ekfslam.report.drawings import Ink, of_campaign, of_comparison
 from ekfslam.report.folder import CampaignFolder, ComparisonFolder, read_results
@@ -50,8 +51,10 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     InputError
         If the page cannot be written.
     """
-    results = read_results(folder)
     path = Path(folder) / FILE if out is None else Path(out)
+    results = read_results(folder)
+    if path.is_dir() or not path.parent.is_dir():
+        raise InputError(f"cannot write {path}: --out is a file in a folder that exists")
     page = render(results)
     with atomic_write(path) as stream:
         stream.write(page.encode("utf-8"))
