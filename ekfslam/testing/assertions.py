@@ -88,7 +88,7 @@ def assert_accuracy(
     claims, by_seed = [], []
     for metric, bound in bounds.items():
         values = of.per_seed(rows, metric)
-        claims.append(_bounded(values.to_numpy(), metric, float(bound), level))
+        claims.append(bounded(values.to_numpy(), metric, float(bound), level))
         ranked = values.sort_values(ascending=metric in of.MORE, kind="stable")
         by_seed.append(_by_seed(metric, ranked, claim=float(bound)))
     table = pd.DataFrame(claims)
@@ -100,7 +100,7 @@ def assert_accuracy(
     return finding
 
 
-def _bounded(values: np.ndarray, metric: str, bound: float, level: float) -> dict[str, Any]:
+def bounded(values: np.ndarray, metric: str, bound: float, level: float) -> dict[str, Any]:
     sign = -1.0 if metric in of.MORE else 1.0
     sure = sign * least_mean(sign * values, level) if len(values) > 1 else float(values[0])
     return {

@@ -82,7 +82,7 @@ def seeds_of(problem: Problem, seeds: int | Iterable[int] | None) -> list[int]:
     """
     if not problem.simulated:
         if seeds is not None:
-            raise InputError(f"{problem.name} is one recorded run: it takes no seeds")
+            raise InputError(f"{problem.name} is one dataset, which takes no seeds")
         return [0]
     if seeds is None:
         return list(range(SEEDS))
