@@ -209,7 +209,11 @@ class _Trial:
             self.hypotheses, self.explained = still, cases
             return
         before = self._least_gap(case)
-        if before.size <= NEGLIGIBLE or self._of_second_order(case.probe):
+        if before.size <= NEGLIGIBLE:
+            return
+        near = [each for each in self.hypotheses if self._of_second_order(case.probe, each)]
+        if near:
+            self.hypotheses = near
             return
         most = 2 if self.sharpness is EXACT else 1
         more = grown(cases, self.hypotheses, tolerance, most)
@@ -225,14 +229,14 @@ class _Trial:
     def _least_gap(self, case: Case) -> Gap:
         return min(gap_of(case, each.wrong) for each in self.hypotheses)
 
-    def _of_second_order(self, probe: Probe) -> bool:
-        """Whether a deviation vanishes with the noise: no mistake.
+    def _of_second_order(self, probe: Probe, hypothesis: Hypothesis) -> bool:
+        """Whether the deviation from a hypothesis vanishes with the noise: no further mistake.
 
         With some noise, since estimators may have ways of their own where there is none at all.
         """
         scale, uneasy = self.sharpness.scale, probe._replace(rest=UNEASY)
         cases = [self._case(uneasy, each) for each in (scale, FINER * scale)]
-        sizes = [self._least_gap(case).size for case in cases if case is not None]
+        sizes = [gap_of(case, hypothesis.wrong).size for case in cases if case is not None]
         return len(sizes) == 2 and sizes[1] <= max(SHRUNK * sizes[0], NEGLIGIBLE)
 
     def _holds(self, hypothesis: Hypothesis) -> bool:
@@ -247,7 +251,7 @@ class _Trial:
         for probe in PROBES:
             case = self._case(probe, 0.5 * self.sharpness.scale)
             for which, other in own_noise(case.dataset, case.told) if case else ():
-                if switch == f"{which}-own":
+                if switch == which:
                     return bool(np.allclose(noise, other, rtol=1e-6, atol=1e-9))
         return False
 

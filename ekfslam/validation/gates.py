@@ -18,7 +18,7 @@ from ekfslam.validation.probes import AT_A_DISTANCE, with_last
 from ekfslam.validation.suspects import Answer, run
 
 SCALE = 0.1  # of the uncertainty: far sightings are then still near the landmark
-FARTHEST = 20.0  # sigmas; who accepts them has no gate
+NEAREST, FARTHEST = 0.05, 20.0  # sigmas; who rejects the one believes nothing
 DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-0.6, 0.8]])  # of whitened innovations
 PROBABILITIES = (0.9, 0.95, 0.975, 0.99, 0.995, 0.999, 0.9999)
 USUAL = (*(float(chdtri(2, 1 - p)) for p in PROBABILITIES), 9.0, *(3.841, 6.635))
@@ -32,6 +32,7 @@ class Gate(NamedTuple):
     Attributes
     ----------
     squared : (3,) ndarray
+        Infinite where all is believed.
     """
 
     squared: Array
@@ -39,7 +40,7 @@ class Gate(NamedTuple):
     @property
     def of_mahalanobis(self) -> bool:
         """Whether the distance alone decides, whatever the direction."""
-        return bool(np.ptp(self.squared) <= 1e-4 * self.squared.min())
+        return bool(self.squared.max() <= (1 + 1e-4) * self.squared.min())
 
     @property
     def threshold(self) -> float:
@@ -98,16 +99,19 @@ def measured_gate(
         value = sensor.difference(look.expected + distance * root @ direction, np.zeros(2))
         return _same(answer(with_last(dataset, value)), without)
 
-    squared = []
-    for direction in DIRECTIONS:
-        low, high = 0.05, FARTHEST
-        if not rejects(direction, high) or rejects(direction, low):
-            return None
+    def threshold(direction: Array) -> float:
+        low, high = NEAREST, FARTHEST
+        if not rejects(direction, high):
+            return float("inf")
         while high - low > 1e-6 * high:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if rejects(direction, middle) else (middle, high)
-        squared.append(high**2)
-    return Gate(np.array(squared))
+        return high
+
+    if rejects(DIRECTIONS[0], NEAREST):
+        return None
+    squared = np.array([threshold(direction) for direction in DIRECTIONS]) ** 2
+    return Gate(squared) if np.isfinite(squared).any() else None
 
 
 def _same(one: Answer, other: Answer) -> bool:

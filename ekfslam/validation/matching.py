@@ -58,6 +58,7 @@ class Charge(NamedTuple):
         """What it usually comes from."""
         value = self.switches[0][1]
         if isinstance(value, np.ndarray):
+            value = np.where(np.abs(value) < 1e-9 * np.abs(value).max(), 0.0, value)
             value = [[float(f"{entry:.4g}") for entry in row] for row in value]
         return self.mistake.usually.format(value)
 
@@ -229,20 +230,22 @@ def _nearest_factor(case: Case, wrong: Mapping[str, Any], switch: str) -> float:
 def _own(cases: Sequence[Case], hypothesis: Hypothesis) -> Iterator[Hypothesis]:
     """A noise of the filter's own, read off the covariances of the newest case."""
     last = cases[-1]
-    for which, noise in own_noise(last.dataset, last.told):
-        charge = Charge(OWN_NOISE[which], ((f"{which}-own", noise),))
+    for switch, noise in own_noise(last.dataset, last.told):
+        charge = Charge(OWN_NOISE[switch[0]], ((switch, noise),))
         yield hypothesis._replace(charges=(*hypothesis.charges, charge))
 
 
 def own_noise(dataset: Dataset, told: Answer) -> Iterator[tuple[str, Array]]:
-    """What a first move, or a first sighting while standing still, has added to the covariance."""
-    prior = dataset.prior
-    if told.covariances is not None and dataset.robot.controls.any():
+    """What a first step, move or sighting has added to the covariance, as a switch sets it."""
+    prior, controls = dataset.prior, dataset.robot.controls
+    if told.covariances is not None and controls.any():
         turn = geo.heading_block(prior.mean[2])
-        F = geo.compose_jacobians(prior.mean, dataset.robot.controls[0])[0]
-        yield "q", turn.T @ (told.covariances[1] - F @ prior.covariance @ F.T) @ turn
+        F = geo.compose_jacobians(prior.mean, controls[0])[0]
+        moved = told.covariances[1] - F @ prior.covariance @ F.T
+        yield "q-own", turn.T @ moved @ turn
+        yield "q-always", turn.T @ (told.covariances[0] - prior.covariance) @ turn
     elif told.marginals is not None and len(told.ids):
         place, G, V = dataset.sensors[0].locate(prior.mean, dataset.observations.values[0])
         at = int(np.argmin(np.linalg.norm(told.positions - place, axis=1)))
         undo = np.linalg.inv(V)
-        yield "r", undo @ (told.marginals[at] - G @ prior.covariance @ G.T) @ undo.T
+        yield "r-own", undo @ (told.marginals[at] - G @ prior.covariance @ G.T) @ undo.T

@@ -122,14 +122,14 @@ OWN_NOISE = {
         "q-own",
         MOTION,
         "uses a motion noise of its own, not the one that it is given",
-        "numbers in the filter from another robot; here they are covariance {}",
+        "numbers of another robot, written into the filter: a covariance of {}",
         _P,
     ),
     "r": Mistake(
         "r-own",
         LANDMARK,
         "uses a sensor noise of its own, not the one that it is given",
-        "numbers in the filter from another sensor; here they are covariance {}",
+        "numbers of another sensor, written into the filter: a covariance of {}",
         "R, wherever it is used",
     ),
 }

@@ -370,8 +370,10 @@ class _Suspect:
 
 def _mistaken(noise: Array, wrong: Mapping[str, Any], which: str) -> Array:
     """A noise covariance as it is misread: of the motion (q), everywhere (r), in S, of the new."""
-    if f"{which}-own" in wrong:
+    if f"{which}-own" in wrong and noise.any():
         return np.asarray(wrong[f"{which}-own"])
+    if f"{which}-always" in wrong:
+        return np.asarray(wrong[f"{which}-always"])
     if f"{which}-forgotten" in wrong:
         return np.zeros_like(noise)
     if f"{which}-root" in wrong:
