@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import partial
+from inspect import isroutine
 from pathlib import Path
 from typing import Any
 
@@ -61,34 +62,37 @@ def blamed(owner: Any, when: str = "") -> Iterator[None]:
     except UnsupportedError:
         raise
     except Exception as error:
-        note = ", ".join(filter(None, (place(error, _package_of(owner)), when)))
+        note = ", ".join(filter(None, (place(error, _packages_of(owner)), when)))
         if note:
             error.add_note(note)
         raise
 
 
-def place(error: BaseException, package: str) -> str:
-    """File, line and function in a package that an error came from last, or nothing.
+def place(error: BaseException, packages: set[str]) -> str:
+    """File, line and function that an error came from last in some packages, or nothing.
 
     Parameters
     ----------
     error : BaseException
-    package : str
-        Name of a package, or of a module outside of one. Of this one, nothing is said.
+    packages : set of str
+        Names of packages, or of modules outside of one. Of this one, nothing is said.
     """
     words = ""
     for frame, line in traceback.walk_tb(error.__traceback__):
         module = str(frame.f_globals.get("__name__"))
-        if module.partition(".")[0] == package:
+        if module.partition(".")[0] in packages.difference(WITHIN):
             file = Path(frame.f_code.co_filename)
             above = module.count(".") + (file.name == "__init__.py")
             # From the package on: wherever it is installed, the words are the same.
             words = f"{'/'.join(file.parts[-1 - above :])}, line {line}, in {frame.f_code.co_name}"
-    return "" if package in WITHIN else words
+    return words
 
 
-def _package_of(owner: Any) -> str:
+def _packages_of(owner: Any) -> set[str]:
+    """Where a function is from, or a class and those that it inherits from."""
     while isinstance(owner, partial):
         owner = owner.func
-    module = getattr(owner, "__module__", None) or type(owner).__module__
-    return str(module).partition(".")[0]
+    if not isroutine(owner):
+        kinds = owner.__mro__ if isinstance(owner, type) else type(owner).__mro__
+        return {kind.__module__.partition(".")[0] for kind in kinds}
+    return {str(owner.__module__).partition(".")[0]}

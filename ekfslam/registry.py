@@ -263,7 +263,7 @@ def _why(error: Exception, module: str) -> str:
         return f"{said}: there is no {module}.py in {os.getcwd()}, nor is it installed"
     if not isinstance(error, ImportError | AttributeError | SyntaxError):
         said = f"{type(error).__name__}: {said}"
-    where = place(error, module.partition(".")[0])
+    where = place(error, {module.partition(".")[0]})
     return f"{said} ({where})" if where else said
 
 
