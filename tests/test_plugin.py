@@ -251,7 +251,7 @@ def test_the_fixture_and_what_is_kept(run, pytester):
 
 FOREIGN = """
 def test_from_a_summary():
-    assert_not_worse("ekf", "summary.csv", seeds=range(8), metric="rpe_position_rmse_m")
+    assert_not_worse({name!r}, "summary.csv", seeds={seeds}, metric="rpe_position_rmse_m")
 """
 
 
@@ -260,11 +260,15 @@ def test_a_summary_is_a_reference_that_is_not_overwritten(run, pytester):
     summary = Path(pytester.path, "summary.csv")
     pd.concat(runs).to_csv(summary, index=False)
     before = summary.read_bytes()
-    found, _ = run(FOREIGN)
-    found.assert_outcomes(passed=1)
-    found, text = run(FOREIGN, "--ekfslam-update")
-    found.assert_outcomes(failed=1)
-    assert "summary.csv was not written by --ekfslam-update and is not overwritten" in text
+    for options in ((), ("--ekfslam-update",)):
+        found, _ = run(FOREIGN.format(name="ekf", seeds=None), *options)
+        found.assert_outcomes(passed=1)
+        found, text = run(FOREIGN.format(name="ekf", seeds=9), *options)
+        found.assert_outcomes(failed=1)
+        assert "summary.csv: ekf on loop-15 has no seed 8: it was not written by" in text
+        found, text = run(FOREIGN.format(name="iekf", seeds=None), *options)
+        found.assert_outcomes(failed=1)
+        assert "summary.csv has no runs of iekf: say on which scenario" in text
     assert summary.read_bytes() == before
 
 

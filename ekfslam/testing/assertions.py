@@ -101,6 +101,7 @@ def assert_accuracy(
 
 
 def bounded(values: np.ndarray, metric: str, bound: float, level: float) -> dict[str, Any]:
+    """The claim that the mean of values (n,) is within a bound, with its numbers."""
     sign = -1.0 if metric in of.MORE else 1.0
     sure = sign * least_mean(sign * values, level) if len(values) > 1 else float(values[0])
     return {
@@ -254,7 +255,8 @@ def assert_not_worse(
         As for `assert_accuracy`.
     baseline : path, str or object
         A reference, ``.csv``, relative to the root of the tests, which ``pytest --ekfslam-update``
-        writes; or another estimator, which is run on the same draws.
+        writes, or the table `summary` of some draws, which it leaves as it is; or another
+        estimator, which is run on the same draws.
     scenario : str, path, Scenario or Dataset, optional
         By default every one that the reference has of this estimator.
     seeds : int or iterable of int, optional

@@ -13,7 +13,7 @@ from ekfslam.errors import InputError
 from ekfslam.estimates import DIVERGED
 from ekfslam.testing import metrics as of
 from ekfslam.testing.failures import command, fail_for_lost
-from ekfslam.testing.references import check_ours, read_reference, records_of, same
+from ekfslam.testing.references import is_ours, read_reference, records_of, same
 from ekfslam.testing.runs import Problem, name_of, problem_of, run, seeds_of
 from ekfslam.testing.session import current
 from ekfslam.testing.statistics import SAME, least_ratio
@@ -105,13 +105,14 @@ def paired(
     else:
         title = str(baseline)
         sides = list(_referred(path, title, estimator, scenario, seeds, metrics))
+    rewritable = path is not None and is_ours(path)
     pairs: list[Pair] = []
     for problem, before in sides:
         chosen = [int(seed) for seed in before["seed"].unique()]
         now = run(estimator, problem, chosen, of.needs_smoother(metrics))
         if path is not None:
-            _check_draws(now, before, title)
-        pairs += _pairs(problem, title, now, before, metrics, series, robot, path is not None)
+            _check_draws(now, before, title, _remedy(path))
+        pairs += _pairs(problem, title, now, before, metrics, series, robot, rewritable)
     return pairs
 
 
@@ -171,14 +172,12 @@ def _referred(
     metrics: Sequence[str],
 ) -> Iterator[tuple[Problem, pd.DataFrame]]:
     """Each problem with the stored runs; or with those that will be, where it is rewritten."""
-    name, updating = name_of(estimator), current().updating
+    name, updating = name_of(estimator), current().updating and is_ours(path)
     table = pd.DataFrame(columns=["estimator", "scenario", "seed"])
     if path.exists():
         table = read_reference(path)
-        if updating:
-            check_ours(path)
     elif not updating:
-        raise InputError(f"{title} is missing: write it with\n  {command()}")
+        raise InputError(f"{title} is missing: {_remedy(path)}")
     table = table.loc[table["estimator"] == name]
     if scenario is None and table.empty:
         raise InputError(f"{title} has no runs of {name}: say on which scenario")
@@ -193,8 +192,16 @@ def _referred(
             yield problem, _rewritten(path, estimator, problem, chosen, metrics)
         else:
             before = before[before["seed"].isin(chosen)]
-            _check_reference(before, f"{title}: {name} on {problem.name}", chosen, metrics)
+            what = f"{title}: {name} on {problem.name}"
+            _check_reference(before, what, chosen, metrics, _remedy(path))
             yield problem, before
+
+
+def _remedy(path: Path) -> str:
+    """What to do about a reference that does not have what it should."""
+    if is_ours(path):
+        return f"write it with\n  {command()}"
+    return "it was not written by --ekfslam-update, which leaves it as it is"
 
 
 def _rewritten(
@@ -209,7 +216,7 @@ def _rewritten(
 
 
 def _check_reference(
-    before: pd.DataFrame, what: str, seeds: list[int], metrics: Sequence[str]
+    before: pd.DataFrame, what: str, seeds: list[int], metrics: Sequence[str], remedy: str
 ) -> None:
     """Refuse a reference without what is asked for.
 
@@ -222,10 +229,10 @@ def _check_reference(
     lacking = [name for name in metrics if name not in before or before[name].isna().all()]
     said = [*missing[:1], *(["other seeds"] if len(missing) > 1 else []), *lacking]
     if said:
-        raise InputError(f"{what} has no {', no '.join(said)}: write it with\n  {command()}")
+        raise InputError(f"{what} has no {', no '.join(said)}: {remedy}")
 
 
-def _check_draws(now: pd.DataFrame, before: pd.DataFrame, title: str) -> None:
+def _check_draws(now: pd.DataFrame, before: pd.DataFrame, title: str, remedy: str) -> None:
     """Refuse to pair runs on different draws.
 
     Raises
@@ -240,5 +247,5 @@ def _check_draws(now: pd.DataFrame, before: pd.DataFrame, title: str) -> None:
         raise InputError(
             f"{title}: {other.sum()} draws of {now['scenario'].iloc[0]} are not those of now, "
             f"first seed {other.index[other][0]}; the scenario has changed, so that nothing can be "
-            f"compared: write it anew with\n  {command()}"
+            f"compared: {remedy}"
         )

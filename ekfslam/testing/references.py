@@ -61,19 +61,18 @@ def _plain(value: Any) -> Any:
 
 
 def rewrite(path: Path, records: Sequence[Record]) -> None:
-    """Put records into a file, which is made if needed; what they do not speak of stays.
+    """Put records into a file of ours, which is made if needed; what they do not speak of stays.
 
     Raises
     ------
     InputError
-        If the file is there and was not written here, or cannot be written.
+        If the file cannot be written.
     FileFormatError
         If it cannot be read.
     """
     new = pd.DataFrame(records)
     said = dict(zip(_groups(new), new.pop("versions"), strict=True))
     if path.exists():
-        check_ours(path)
         said = _versions(path) | said
         new = _combined(new, read_reference(path))
     new = _unique(new).sort_values(KEYS, kind="stable", ignore_index=True)
@@ -90,20 +89,12 @@ def rewrite(path: Path, records: Sequence[Record]) -> None:
         stream.write(text.getvalue().encode())
 
 
-def check_ours(path: Path) -> None:
-    """Refuse to rewrite a file that comes from elsewhere, such as the summary of a campaign.
-
-    Raises
-    ------
-    InputError
-        If the file does not say that it was written here.
-    """
+def is_ours(path: Path) -> bool:
+    """Whether a file may be rewritten: it is not there yet, or says that it was written here."""
+    if not path.exists():
+        return True
     with path.open(encoding="utf-8", errors="replace") as stream:
-        if stream.readline().rstrip() != TITLE:
-            raise InputError(
-                f"{path} was not written by --ekfslam-update and is not overwritten: "
-                "name another file"
-            )
+        return stream.readline().rstrip() == TITLE
 
 
 def _groups(rows: pd.DataFrame) -> list[str]:
