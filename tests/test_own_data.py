@@ -309,6 +309,12 @@ def test_a_bad_header_is_named(header, message):
         build(**header)
 
 
+@pytest.mark.parametrize("table", ["controls.csv", {"dx": [1], "dy": [1, 2]}])
+def test_what_is_no_table_is_named(table):
+    with pytest.raises(InputError, match=r"controls is no table: .*ekfslam.load\(folder\)"):
+        build(table)
+
+
 def test_motion_is_needed():
     with pytest.raises(InputError, match="motion is missing, such as kind = 'odometry'"):
         ekfslam.from_tables(frames()[0])

@@ -64,7 +64,7 @@ class Sheet(NamedTuple):
     def check_columns(self, known: Collection[str], needed: Collection[str] = ()) -> None:
         """Refuse columns that have no meaning, that are there twice, or that are missing."""
         columns = [str(column) for column in self.frame.columns]
-        listed = ", ".join(known)
+        listed = ", ".join(name for name in known if not name.startswith("cov_"))
         for column in columns:
             if column not in known:
                 close = get_close_matches(column, known, n=2)

@@ -115,10 +115,15 @@ def from_tables(
         table, row and column.
     """
     given = dict(zip(TABLES, (controls, observations, truth, landmarks, known_map), strict=True))
-    sheets = {
-        name: Sheet(name, pd.DataFrame(table)) for name, table in given.items() if table is not None
-    }
+    sheets = {name: _sheet(name, table) for name, table in given.items() if table is not None}
     return dataset_of(sheets, header, "from_tables")
+
+
+def _sheet(name: str, table: Any) -> Sheet:
+    try:
+        return Sheet(name, pd.DataFrame(table))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is no table: {error}; for files, ekfslam.load(folder)") from None
 
 
 def dataset_of(sheets: Mapping[str, Sheet], header: Mapping[str, Any], where: str) -> Dataset:
