@@ -348,8 +348,8 @@ class RunMap {
     this.stage.classList.toggle("near", this.zoom > 1);
     this.rule(left, top, dx, dy);
     if (this.marks) {
-      const arm = 4 * this.pixel;
       const { marks } = this.data;
+      const arm = (marks.length > 2000 ? 2 : 4) * this.pixel;
       let path = "";
       for (let i = 0; i < marks.length; i += 2) path += `M${marks[i] - arm} ${marks[i + 1]}h${2 * arm}m${-arm} ${-arm}v${2 * arm}`;
       this.marks.setAttribute("d", path);
