@@ -39,6 +39,44 @@ class Points(NamedTuple):
         return cls(np.zeros(capacity), np.zeros(capacity), *none)
 
 
+class Workspace(NamedTuple):
+    """What a correction writes to and nobody reads after it; see `ekf_slam.correct_with`.
+
+    Attributes
+    ----------
+    rows : (m, capacity) ndarray
+        H P, then W.
+    S : (m, m), innovation : (m,), step : (capacity,) ndarray
+    H : (m, 2, 7) ndarray
+        Of each observation, with respect to pose and target.
+    places, sizes, which : (m,) ndarray of int
+        Offset and size of each target, and its row among the observations.
+    point : (4,), seen : (2,), unused : (2,) ndarray
+        Of one observation.
+    """
+
+    rows: Array
+    S: Array
+    innovation: Array
+    step: Array
+    H: Array
+    places: np.ndarray
+    sizes: np.ndarray
+    which: np.ndarray
+    point: Array
+    seen: Array
+    unused: Array
+
+    @classmethod
+    def of(cls, rows: int, capacity: int) -> Workspace:
+        """Room for corrections of so many rows."""
+        whole = [np.empty(rows, dtype=np.int64) for _ in range(3)]
+        few = np.empty(4), np.empty(2), np.empty(2)
+        square, step = np.empty((rows, rows)), np.empty(capacity)
+        H, innovation = np.empty((rows, 2, 7)), np.empty(rows)
+        return cls(np.empty((rows, capacity)), square, innovation, step, H, *whole, *few)
+
+
 class MapArrays(NamedTuple):
     """The Gaussian map.
 
@@ -55,6 +93,7 @@ class MapArrays(NamedTuple):
         U of `ekfslam.filters.delayed`; without rows, nothing ever waits.
     held : (1,) ndarray of int
         How many of its rows do.
+    workspace : Workspace
     """
 
     mean: Array
@@ -63,6 +102,7 @@ class MapArrays(NamedTuple):
     points: Points
     late: Array
     held: np.ndarray
+    workspace: Workspace
 
 
 class Register(NamedTuple):

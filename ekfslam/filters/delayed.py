@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ekfslam.blas import subtract_product, subtract_square
-from ekfslam.compiled import compiled, inlined
+from ekfslam.compiled import compiled, inlined, lean
 
 FROM = 120  # coordinates of a state from which waiting pays
 ROWS = 128  # that wait at most: on small maps fewer pay
@@ -46,11 +46,10 @@ def bring_up_to_date(slam):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def next_rows(slam, most):  # type: ignore[no-untyped-def]
-    """Where up to so many rows W of a correction are to stand."""
+def make_place(slam, most):  # type: ignore[no-untyped-def]
+    """Make place for up to so many rows W of a correction, behind those that wait already."""
     if slam.held[0] + most > room(slam):
         bring_up_to_date(slam)
-    return slam.late[slam.held[0] :]
 
 
 @compiled
@@ -89,7 +88,7 @@ def exact_rows(late, held, n, H, at, sizes, m, d, rows):  # type: ignore[no-unty
     subtract_product(rows, factors, late, d * m, held, n)
 
 
-@compiled
+@lean
 def keep(slam, m, poses):  # type: ignore[no-untyped-def]
     """The next m rows of `late` have corrected the mean: correct the poses, and let them wait."""
     P, late, first, n = slam.covariance, slam.late, slam.held[0], slam.size[0]
@@ -104,7 +103,7 @@ def keep(slam, m, poses):  # type: ignore[no-untyped-def]
     slam.held[0] = first + m
 
 
-@compiled
+@lean
 def clear(late, first, last, begin, end):  # type: ignore[no-untyped-def]
     """Rows from `first` to before `last` are zero in the columns from `begin` to before `end`."""
     for k in range(first, last):
@@ -112,7 +111,7 @@ def clear(late, first, last, begin, end):  # type: ignore[no-untyped-def]
             late[k, j] = 0.0
 
 
-@compiled
+@lean
 def entry(P, late, held, i, j):  # type: ignore[no-untyped-def]
     """One entry of the covariance, what waits included."""
     total = P[i, j] if i <= j else P[j, i]

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekfslam.compiled import compiled, inlined, now
+from ekfslam.compiled import compiled, inlined, lean, now
 from ekfslam.estimates import Decision
-from ekfslam.filters.delayed import delays, exact_rows, next_rows, reduce_large
+from ekfslam.filters.arrays import Workspace
+from ekfslam.filters.delayed import delays, exact_rows, make_place, reduce_large
 from ekfslam.filters.initiation import extend
 from ekfslam.filters.kernels import downdate, move, project, solve, times_transposed
 from ekfslam.filters.measure import BANKED, POINT, POSE, foresee, moved, placed, rows_of
@@ -35,7 +36,7 @@ ACCEPTED, REJECTED = int(Decision.ACCEPTED), int(Decision.REJECTED)
 DONE, GROW, INDEFINITE, LOOK = range(4)
 
 
-@compiled
+@lean
 def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, log, other):  # type: ignore[no-untyped-def]
     """Steps from `start` to before `stop`; returns the step at which it stopped, and why.
 
@@ -136,7 +137,7 @@ def end_of_look(sightings, first, last):  # type: ignore[no-untyped-def]
     return end
 
 
-@inlined
+@lean
 def update(slam, register, sightings, first, last, settings, log, other):  # type: ignore[no-untyped-def]
     """Correct with what is seen again, jointly or one after another (Solà, 2.3.3).
 
@@ -149,17 +150,51 @@ def update(slam, register, sightings, first, last, settings, log, other):  # typ
         index = log.landmark[i]
         if log.decision[i] == ACCEPTED and (index < 0 or sizes[index] != BANKED):
             accepted += 1
-    total, dof, start = 0.0, 0, first if accepted > 0 else last
-    n, d, variant = slam.size[0], rows_of(sightings.kind[first]), settings.variant
-    together = accepted if settings.joint else 1
-    most, step = d * together, np.empty(n)
-    S, z = np.empty((most, most)), np.empty(most)
+    if accepted == 0:
+        if other is not None and settings.variant == ROBOCENTRIC:
+            compose(slam.mean, slam.covariance, slam.size[0])
+        return 0.0, 0
+    look = sightings, first, last
+    most = rows_of(sightings.kind[first]) * (accepted if settings.joint else 1)
+    if most > slam.workspace.innovation.size:
+        return correct_widely(slam, register, *look, most, settings, log, other)
+    return correct_with(slam, register, *look, most, settings, log, other, slam.workspace)
+
+
+@compiled
+def correct_widely(slam, register, sightings, first, last, most, settings, log, other):  # type: ignore[no-untyped-def]
+    """Correct with more rows than the workspace of the map has."""
+    workspace = Workspace(
+        np.empty((most, slam.size[0])),
+        np.empty((most, most)),
+        np.empty(most),
+        np.empty(slam.size[0]),
+        np.empty((most, 2, 7)),
+        np.empty(most, np.int64),
+        np.empty(most, np.int64),
+        np.empty(most, np.int64),
+        np.empty(4),
+        np.empty(2),
+        np.empty(2),
+    )
+    look = sightings, first, last
+    return correct_with(slam, register, *look, most, settings, log, other, workspace)
+
+
+@lean
+def correct_with(  # type: ignore[no-untyped-def]
+    slam, register, sightings, first, last, most, settings, log, other, workspace
+):
+    """Correct with up to `most` rows at once; see `update`."""
+    total, dof, start = 0.0, 0, first
+    n, variant = slam.size[0], settings.variant
+    S, z, step, rows = workspace.S, workspace.innovation, workspace.step, workspace.rows
     large = n >= settings.delay_from
     waits = large and delays(slam, most, settings)
-    rows = np.empty((0 if waits else most, n))
     while start < last:
         if waits:
-            rows = next_rows(slam, most)
+            make_place(slam, most)
+            rows = slam.late[slam.held[0] :]
         stop, m, nis = last if settings.joint else start + 1, 0, 0.0
         for iteration in range(settings.iterations):
             again = iteration > 0
@@ -169,11 +204,9 @@ def update(slam, register, sightings, first, last, settings, log, other):  # typ
                 sightings,
                 start,
                 stop,
-                together,
                 again,
                 rows,
-                S,
-                z,
+                workspace,
                 settings,
                 log,
                 other,
@@ -207,7 +240,7 @@ def update(slam, register, sightings, first, last, settings, log, other):  # typ
 
 @inlined
 def stack(  # type: ignore[no-untyped-def]
-    slam, register, sightings, first, last, together, again, rows, S, z, settings, log, other
+    slam, register, sightings, first, last, again, rows, workspace, settings, log, other
 ):
     """``H P``, ``S = H P H' + R`` (its lower triangle) and innovations of accepted observations.
 
@@ -215,8 +248,8 @@ def stack(  # type: ignore[no-untyped-def]
     ----------
     first, last : int
         Rows of a look.
-    together : int
-        How many of them are accepted at most.
+    rows : (m, >= n) ndarray
+        Written: H P.
     other : None or bool
         None for the plain filter, see `run`.
     again : bool
@@ -236,9 +269,9 @@ def stack(  # type: ignore[no-untyped-def]
     kind, mount, pose = sightings.kind[first], sightings.mount[first], POSE * sightings.robot[first]
     d, variant = rows_of(kind), settings.variant
     sensor = placed(mount, mean[pose : pose + POSE])
-    H, point, nu = np.empty((together, 2, 7)), np.empty(4), np.empty(2)
-    places, sizes = np.empty(together, np.int64), np.empty(together, np.int64)
-    which = np.empty(together, np.int64)
+    S, z, H, point = workspace.S, workspace.innovation, workspace.H, workspace.point
+    nu, unused, places = workspace.seen, workspace.unused, workspace.places
+    sizes, which = workspace.sizes, workspace.which
     m = 0
     for i in range(first, last):
         if decision[i] != ACCEPTED:
@@ -260,9 +293,9 @@ def stack(  # type: ignore[no-untyped-def]
             if again:
                 foresee_again(kind, size, elsewhere, mean, points, pose, at, value, h, nu)
             else:
-                seen = foresee_at(
-                    variant, mean, points, sensor, elsewhere, at, size, kind, value, point, h, nu
-                )
+                where = sensor, elsewhere, at, size
+                there = kind, value, point, h, nu, unused
+                seen = foresee_at(variant, mean, points, *where, *there)
         if not seen:
             decision[i] = REJECTED  # an inverse depth that has no distance to compare with
             continue

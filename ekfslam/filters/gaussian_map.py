@@ -11,11 +11,12 @@ from ekfslam.checks import check_fits
 from ekfslam.dataset import Prior
 from ekfslam.errors import EkfslamError, InputError
 from ekfslam.filters import kernels, triangle
-from ekfslam.filters.arrays import MapArrays, Points
+from ekfslam.filters.arrays import MapArrays, Points, Workspace
 from ekfslam.filters.delayed import bring_up_to_date
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.geometry import Array
 
+AT_ONCE = 64  # rows of a correction that need no memory of their own
 ASK_FROM = 5000  # coordinates from which memory is asked for first
 
 
@@ -69,6 +70,7 @@ class GaussianMap:
             Points.of(capacity),
             np.zeros((late, capacity)),
             np.array([0], dtype=np.int64),
+            Workspace.of(AT_ONCE, capacity),
         )
         for robot, prior in enumerate(priors):
             at = slice(POSE * robot, POSE * robot + POSE)
@@ -139,7 +141,13 @@ class GaussianMap:
         points = points._replace(
             at=np.concatenate([points.at, room]), first=np.concatenate([points.first, room])
         )
-        self.arrays = MapArrays(mean, covariance, self.arrays.size, points, late, self.arrays.held)
+        self.arrays = self.arrays._replace(
+            mean=mean,
+            covariance=covariance,
+            points=points,
+            late=late,
+            workspace=Workspace.of(AT_ONCE, capacity),
+        )
 
     def move(self, increment: Array, covariance: Array, robot: int = 0) -> None:
         """Robot motion.

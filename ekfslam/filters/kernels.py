@@ -14,11 +14,11 @@ import math
 
 import numpy as np
 
-from ekfslam.compiled import compiled
+from ekfslam.compiled import compiled, lean
 from ekfslam.filters.triangle import add_both_rows, add_rows
 
 
-@compiled
+@lean
 def wrap(angle: float) -> float:
     """Angle in [-pi, pi); see `ekfslam.geometry.wrap`."""
     if -math.pi <= angle < math.pi:
@@ -32,7 +32,7 @@ def wrap(angle: float) -> float:
 # Robot motion -----------------------------------------------------------------------------------
 
 
-@compiled
+@lean
 def advance(mean, at, delta):  # type: ignore[no-untyped-def]
     """The mean of a robot's motion: ``pose * delta`` (Solà, Eq. 14; Ciatto, Eq. 3.1).
 
@@ -50,7 +50,7 @@ def advance(mean, at, delta):  # type: ignore[no-untyped-def]
     mean[at + 2] = wrap(mean[at + 2] + delta[2])
 
 
-@compiled
+@lean
 def disperse(P, n, at, dx, dy, heading, Q):  # type: ignore[no-untyped-def]
     """The covariance of a robot's motion (Solà, Eqs. 15 to 17; Ciatto, Eqs. 3.2 to 3.6), O(n).
 
@@ -92,7 +92,7 @@ def disperse(P, n, at, dx, dy, heading, Q):  # type: ignore[no-untyped-def]
     P[t, t] += Q[2, 2]
 
 
-@compiled
+@lean
 def move(mean, P, n, at, delta, Q):  # type: ignore[no-untyped-def]
     """Robot motion with its Jacobians at the estimate, O(n); see `advance` and `disperse`."""
     x, y, heading = mean[at], mean[at + 1], mean[at + 2]
@@ -103,7 +103,7 @@ def move(mean, P, n, at, delta, Q):  # type: ignore[no-untyped-def]
 # Map correction ---------------------------------------------------------------------------------
 
 
-@compiled
+@lean
 def project(P, n, pose, at, size, H, d, rows):  # type: ignore[no-untyped-def]
     """Rows of ``H P`` for one observation: few rows of P enter (Solà, Eq. 28), O(n).
 
@@ -131,7 +131,7 @@ def project(P, n, pose, at, size, H, d, rows):  # type: ignore[no-untyped-def]
         add_rows(P, n, at, size, H[a, 3:], rows[a])
 
 
-@compiled
+@lean
 def times_transposed(row, pose, at, size, H, a):  # type: ignore[no-untyped-def]
     """One entry of ``(H P) H'``: a row of H P with row a of an observation's H."""
     total = row[pose] * H[a, 0] + row[pose + 1] * H[a, 1] + row[pose + 2] * H[a, 2]
@@ -142,7 +142,7 @@ def times_transposed(row, pose, at, size, H, a):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled
+@lean
 def cholesky(S, m):  # type: ignore[no-untyped-def]
     """Lower Cholesky factor in place of the lower triangle of S (m x m).
 
@@ -165,7 +165,7 @@ def cholesky(S, m):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled
+@lean
 def whiten(L, rows, m, n):  # type: ignore[no-untyped-def]
     """Rows ``L^-1 rows`` in place (m x n) by forward substitution.
 
@@ -190,7 +190,7 @@ def whiten(L, rows, m, n):  # type: ignore[no-untyped-def]
             row[j] *= inverse
 
 
-@compiled
+@lean
 def downdate(P, W, m, n):  # type: ignore[no-untyped-def]
     """``P -= W' W`` on the triangle: the map correction (Solà, Eq. 30), O(m n^2).
 
@@ -222,7 +222,7 @@ def downdate(P, W, m, n):  # type: ignore[no-untyped-def]
                 row[j] -= factor * last[j]
 
 
-@compiled
+@lean
 def solve(rows, S, innovation, m, n, step):  # type: ignore[no-untyped-def]
     """The step ``K innovation`` of a correction, and what the covariance loses by it.
 
@@ -263,7 +263,7 @@ def solve(rows, S, innovation, m, n, step):  # type: ignore[no-untyped-def]
     return nis
 
 
-@compiled
+@lean
 def shift(mean, step, n, poses):  # type: ignore[no-untyped-def]
     """``mean += step``, the headings of the poses at the start of the state wrapped."""
     for j in range(n):
@@ -338,7 +338,7 @@ def append(mean, P, n, poses, state, size, G, noise):  # type: ignore[no-untyped
             P[n + a, n + b] = total
 
 
-@compiled
+@lean
 def remove(mean, P, n, offset, size):  # type: ignore[no-untyped-def]
     """Landmark deletion (Solà, Table 1): marginalise coordinates by dropping rows and columns.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ekfslam.compiled import compiled
+from ekfslam.compiled import lean
 from ekfslam.filters.kernels import wrap
 from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING
 
@@ -16,13 +16,13 @@ POSE, POINT, INVERSE_DEPTH = 3, 2, 4  # coordinates in the state
 BANKED = -1  # stands for the size of a landmark that is still a bank of hypotheses
 
 
-@compiled
+@lean
 def rows_of(kind):  # type: ignore[no-untyped-def]
     """How many numbers a sighting of a kind reports."""
     return 1 if kind in (BEARING, RANGE) else 2
 
 
-@compiled
+@lean
 def placed(mount, pose):  # type: ignore[no-untyped-def]
     """Where a sensor is: x, y, cosine and sine of its heading, and its lever on the robot (x, y).
 
@@ -35,7 +35,7 @@ def placed(mount, pose):  # type: ignore[no-untyped-def]
     return pose[0] + lever_x, pose[1] + lever_y, c, s, lever_x, lever_y
 
 
-@compiled
+@lean
 def expect(kind, size, sensor, target, expected, H):  # type: ignore[no-untyped-def]
     """Direct model with Jacobian (Solà, Eqs. 24 and 25), by the chain rule over three frames.
 
@@ -106,7 +106,7 @@ def expect(kind, size, sensor, target, expected, H):  # type: ignore[no-untyped-
     return True
 
 
-@compiled
+@lean
 def innovate(kind, value, expected, innovation):  # type: ignore[no-untyped-def]
     """Innovation ``value - expected``, the bearing wrapped (Solà, Eq. 26)."""
     innovation[0] = value[0] - expected[0]
@@ -120,7 +120,7 @@ def innovate(kind, value, expected, innovation):  # type: ignore[no-untyped-def]
         innovation[1] = wrap(innovation[1])
 
 
-@compiled
+@lean
 def along_the_ray(kind, sensor, target, value, point):  # type: ignore[no-untyped-def]
     """Where to linearise a sighting of an inverse depth that tells its range: at that range.
 
@@ -155,11 +155,12 @@ def along_the_ray(kind, sensor, target, value, point):  # type: ignore[no-untype
             ahead, left = value[0] * math.cos(value[1]), value[0] * math.sin(value[1])
         c, s = sensor[2], sensor[3]  # the point seen, along the ray
         distance += (c * ahead - s * left) * ca + (s * ahead + c * left) * sa
-    point[:] = target
+    for c in range(3):
+        point[c] = target[c]
     point[3] = 1.0 / max(distance, 1e-3)
 
 
-@compiled
+@lean
 def foresee(kind, size, sensor, target, value, point, H, innovation):  # type: ignore[no-untyped-def]
     """Innovation of a sighting, and the Jacobian and point that it is linearised at.
 
@@ -180,7 +181,8 @@ def foresee(kind, size, sensor, target, value, point, H, innovation):  # type: i
     bool
         As `expect`.
     """
-    point[:size] = target
+    for c in range(size):
+        point[c] = target[c]
     if size == INVERSE_DEPTH and kind != BEARING:
         along_the_ray(kind, sensor, target, value, point)
     if not expect(kind, size, sensor, point[:size], innovation, H):
@@ -189,7 +191,7 @@ def foresee(kind, size, sensor, target, value, point, H, innovation):  # type: i
     return True
 
 
-@compiled
+@lean
 def moved(innovation, H, target, point, size, a):  # type: ignore[no-untyped-def]
     """Row a of an innovation, moved from the point of linearisation to the target."""
     total = innovation[a]
@@ -198,7 +200,7 @@ def moved(innovation, H, target, point, size, a):  # type: ignore[no-untyped-def
     return total
 
 
-@compiled
+@lean
 def locate(kind, mount, pose, value, R, landmark, G, noise):  # type: ignore[no-untyped-def]
     """Inverse model of a full view with Jacobian and mapped noise (Solà, Eqs. 32 to 35).
 
@@ -242,7 +244,7 @@ def locate(kind, mount, pose, value, R, landmark, G, noise):  # type: ignore[no-
     noise[0, 1] = noise[1, 0] = a0 * g10 + a1 * g11
 
 
-@compiled
+@lean
 def locate_direction(mount, pose, bearing, variance, rho, S, landmark, G, noise):  # type: ignore[no-untyped-def]
     """Inverse model of a bearing with a prior on the inverse depth (Solà, Eqs. 39 to 44 and 53).
 
@@ -272,7 +274,7 @@ def locate_direction(mount, pose, bearing, variance, rho, S, landmark, G, noise)
     noise[2, 2], noise[3, 3] = variance, S
 
 
-@compiled
+@lean
 def point_of(landmark, point, J):  # type: ignore[no-untyped-def]
     """Point of an inverse depth with its derivative (Solà, Eq. 48).
 

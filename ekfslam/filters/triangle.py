@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekfslam.compiled import compiled
+from ekfslam.compiled import compiled, lean
 
 
-@compiled
+@lean
 def add_rows(P, n, at, size, weights, out):  # type: ignore[no-untyped-def]
     """``out += weights' P[at : at + size, :n]``, O(n): what every operation reads of the triangle.
 
@@ -55,7 +55,7 @@ def add_rows(P, n, at, size, weights, out):  # type: ignore[no-untyped-def]
                 tail[j] += w0 * row0[j]
 
 
-@compiled
+@lean
 def add_both_rows(P, n, at, size, H, first, one, two):  # type: ignore[no-untyped-def]
     """`add_rows` with two weightings at once, for two or three coordinates.
 

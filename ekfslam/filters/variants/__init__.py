@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekfslam.compiled import compiled, inlined
+from ekfslam.compiled import compiled, inlined, lean
 from ekfslam.filters.kernels import shift
 from ekfslam.filters.measure import POINT, POSE, expect, foresee, locate, placed
 from ekfslam.filters.variants import fej, ideal, oc, right_invariant, robocentric
@@ -58,8 +58,10 @@ def move_elsewhere(variant, slam, at, delta, Q, k, seen):  # type: ignore[no-unt
         _invariant(mean, P, n, delta, Q)
 
 
-@inlined
-def foresee_at(variant, mean, points, sensor, elsewhere, at, size, kind, value, point, H, nu):  # type: ignore[no-untyped-def]
+@lean
+def foresee_at(  # type: ignore[no-untyped-def]
+    variant, mean, points, sensor, elsewhere, at, size, kind, value, point, H, nu, unused
+):
     """`ekfslam.filters.measure.foresee`, the Jacobian where, and of the error that, a filter has.
 
     The innovation is at the latest estimate in all of them.
@@ -70,13 +72,14 @@ def foresee_at(variant, mean, points, sensor, elsewhere, at, size, kind, value, 
         Of `placed`, by the estimate of the pose and by its point of linearisation.
     at : int
         Offset of the target.
+    unused : (2,) ndarray
+        Written.
     """
     if not foresee(kind, size, sensor, mean[at : at + size], value, point, H, nu):
         return False
     if variant == INVARIANT:  # an error of the heading moves robot and landmark as one
         H[0, 2] = H[1, 2] = 0.0
     elif variant in (IDEAL, FEJ, OC):
-        unused = np.empty(2)
         expect(kind, size, elsewhere, points[at : at + size], unused, H)
     return True
 

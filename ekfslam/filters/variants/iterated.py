@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 
-from ekfslam.compiled import compiled
+from ekfslam.compiled import lean
 from ekfslam.filters.measure import expect, innovate
 
 
-@compiled
+@lean
 def foresee_again(kind, size, elsewhere, mean, points, pose, at, value, H, nu):  # type: ignore[no-untyped-def]
     """Innovation and Jacobian at an iterate, the innovation as seen from the estimate."""
     expect(kind, size, elsewhere, points[at : at + size], nu, H)
@@ -25,7 +25,7 @@ def foresee_again(kind, size, elsewhere, mean, points, pose, at, value, H, nu): 
             nu[a] -= H[a, 3 + c] * (mean[at + c] - points[at + c])
 
 
-@compiled
+@lean
 def iterate(mean, points, step, n, again):  # type: ignore[no-untyped-def]
     """Move the points to where the step leads; returns how far, in any turned world the same.
 
