@@ -44,15 +44,15 @@ class Workspace(NamedTuple):
 
     Attributes
     ----------
-    rows : (m, capacity) ndarray
-        H P, then W.
+    rows : (m, width) ndarray
+        H P, then W, where they do not wait.
     S : (m, m), innovation : (m,), step : (capacity,) ndarray
     H : (m, 2, 7) ndarray
         Of each observation, with respect to pose and target.
     places, sizes, which : (m,) ndarray of int
         Offset and size of each target, and its row among the observations.
-    point : (4,), seen : (2,), unused : (2,) ndarray
-        Of one observation.
+    point : (6,), seen : (2,) ndarray
+        Of one observation: where it is linearised, and its innovation.
     """
 
     rows: Array
@@ -65,16 +65,15 @@ class Workspace(NamedTuple):
     which: np.ndarray
     point: Array
     seen: Array
-    unused: Array
 
     @classmethod
-    def of(cls, rows: int, capacity: int) -> Workspace:
-        """Room for corrections of so many rows."""
+    def of(cls, rows: int, width: int, capacity: int) -> Workspace:
+        """Room for corrections of so many rows; `width` is that of the rows themselves."""
         whole = [np.empty(rows, dtype=np.int64) for _ in range(3)]
-        few = np.empty(4), np.empty(2), np.empty(2)
+        few = np.empty(6), np.empty(2)
         square, step = np.empty((rows, rows)), np.empty(capacity)
         H, innovation = np.empty((rows, 2, 7)), np.empty(rows)
-        return cls(np.empty((rows, capacity)), square, innovation, step, H, *whole, *few)
+        return cls(np.empty((rows, width)), square, innovation, step, H, *whole, *few)
 
 
 class MapArrays(NamedTuple):

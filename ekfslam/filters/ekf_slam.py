@@ -156,9 +156,11 @@ def update(slam, register, sightings, first, last, settings, log, other):  # typ
         return 0.0, 0
     look = sightings, first, last
     most = rows_of(sightings.kind[first]) * (accepted if settings.joint else 1)
-    if most > slam.workspace.innovation.size:
+    workspace, n = slam.workspace, slam.size[0]
+    enough = n <= workspace.rows.shape[1] or delays(slam, most, settings)
+    if not enough or most > workspace.innovation.size:
         return correct_widely(slam, register, *look, most, settings, log, other)
-    return correct_with(slam, register, *look, most, settings, log, other, slam.workspace)
+    return correct_with(slam, register, *look, most, settings, log, other, workspace)
 
 
 @compiled
@@ -173,8 +175,7 @@ def correct_widely(slam, register, sightings, first, last, most, settings, log, 
         np.empty(most, np.int64),
         np.empty(most, np.int64),
         np.empty(most, np.int64),
-        np.empty(4),
-        np.empty(2),
+        np.empty(6),
         np.empty(2),
     )
     look = sightings, first, last
@@ -270,8 +271,7 @@ def stack(  # type: ignore[no-untyped-def]
     d, variant = rows_of(kind), settings.variant
     sensor = placed(mount, mean[pose : pose + POSE])
     S, z, H, point = workspace.S, workspace.innovation, workspace.H, workspace.point
-    nu, unused, places = workspace.seen, workspace.unused, workspace.places
-    sizes, which = workspace.sizes, workspace.which
+    nu, places, sizes, which = workspace.seen, workspace.places, workspace.sizes, workspace.which
     m = 0
     for i in range(first, last):
         if decision[i] != ACCEPTED:
@@ -293,9 +293,9 @@ def stack(  # type: ignore[no-untyped-def]
             if again:
                 foresee_again(kind, size, elsewhere, mean, points, pose, at, value, h, nu)
             else:
-                where = sensor, elsewhere, at, size
-                there = kind, value, point, h, nu, unused
-                seen = foresee_at(variant, mean, points, *where, *there)
+                seen = foresee_at(
+                    variant, mean, points, sensor, elsewhere, at, size, kind, value, point, h, nu
+                )
         if not seen:
             decision[i] = REJECTED  # an inverse depth that has no distance to compare with
             continue

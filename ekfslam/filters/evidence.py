@@ -116,7 +116,7 @@ def gather(state, sightings, first, last, settings):  # type: ignore[no-untyped-
     distances, logdets = np.full((m, count), np.inf), np.zeros((m, count))
     apart = np.full((m if uses_points(settings.method) else 0, count), np.inf)
     accept, new = np.empty(m), np.empty(m)
-    point, H, nu, E = np.empty(4), np.empty((2, 7)), np.empty(2), np.empty((2, 2))
+    point, H, nu, E = np.empty(6), np.empty((2, 7)), np.empty(2), np.empty((2, 2))
     described = settings.descriptor_variance > 0.0
     for k in range(m):
         more = 1 if described and not np.isnan(sightings.descriptor[rows[k]]) else 0

@@ -12,7 +12,7 @@ from ekfslam.dataset import Prior
 from ekfslam.errors import EkfslamError, InputError
 from ekfslam.filters import kernels, triangle
 from ekfslam.filters.arrays import MapArrays, Points, Workspace
-from ekfslam.filters.delayed import bring_up_to_date
+from ekfslam.filters.delayed import FROM, bring_up_to_date
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.geometry import Array
 
@@ -36,6 +36,11 @@ def check_covariance_fits(size: int) -> None:
     if size >= ASK_FROM:
         what = f"the covariance of {size // POINT} landmarks"
         check_fits(8 * size**2, what, "take fewer landmarks, or a machine with more memory")
+
+
+def _workspace(late: int, capacity: int) -> Workspace:
+    """Room for the usual corrections; those of a large map stand where they wait."""
+    return Workspace.of(AT_ONCE, min(capacity, FROM) if late else capacity, capacity)
 
 
 class GaussianMap:
@@ -70,7 +75,7 @@ class GaussianMap:
             Points.of(capacity),
             np.zeros((late, capacity)),
             np.array([0], dtype=np.int64),
-            Workspace.of(AT_ONCE, capacity),
+            _workspace(late, capacity),
         )
         for robot, prior in enumerate(priors):
             at = slice(POSE * robot, POSE * robot + POSE)
@@ -146,7 +151,7 @@ class GaussianMap:
             covariance=covariance,
             points=points,
             late=late,
-            workspace=Workspace.of(AT_ONCE, capacity),
+            workspace=_workspace(len(late), capacity),
         )
 
     def move(self, increment: Array, covariance: Array, robot: int = 0) -> None:

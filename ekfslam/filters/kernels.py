@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from ekfslam.compiled import compiled, lean
-from ekfslam.filters.triangle import add_both_rows, add_rows
+from ekfslam.filters.triangle import add_both_rows, add_rows, downdate
 
 
 @lean
@@ -188,38 +188,6 @@ def whiten(L, rows, m, n):  # type: ignore[no-untyped-def]
         inverse = 1.0 / L[i, i]
         for j in range(row.size):
             row[j] *= inverse
-
-
-@lean
-def downdate(P, W, m, n):  # type: ignore[no-untyped-def]
-    """``P -= W' W`` on the triangle: the map correction (Solà, Eq. 30), O(m n^2).
-
-    Parameters
-    ----------
-    P : (capacity, capacity) ndarray
-    W : (>= m, >= n) ndarray
-        Rows enter four, then two at a time, to read and write P less often.
-    """
-    for i in range(n):
-        row = P[i, i:n]
-        k = 0
-        while k + 4 <= m:
-            w0, w1, w2, w3 = W[k, i:n], W[k + 1, i:n], W[k + 2, i:n], W[k + 3, i:n]
-            a0, a1, a2, a3 = w0[0], w1[0], w2[0], w3[0]
-            for j in range(row.size):
-                row[j] -= a0 * w0[j] + a1 * w1[j] + a2 * w2[j] + a3 * w3[j]
-            k += 4
-        while k + 2 <= m:
-            w0, w1 = W[k, i:n], W[k + 1, i:n]
-            a0, a1 = w0[0], w1[0]
-            for j in range(row.size):
-                row[j] -= a0 * w0[j] + a1 * w1[j]
-            k += 2
-        if k < m:
-            last = W[k, i:n]
-            factor = last[0]
-            for j in range(row.size):
-                row[j] -= factor * last[j]
 
 
 @lean

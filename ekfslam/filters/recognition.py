@@ -89,7 +89,7 @@ def verify(state, sightings, i, settings, log):  # type: ignore[no-untyped-def]
     if register.offsets[index] < 0:  # a bank weighs for itself
         return
     at, size, d = register.offsets[index], register.sizes[index], rows_of(kind)
-    point, H, S = np.empty(4), np.empty((2, 7)), np.empty((2, 2))
+    point, H, S = np.empty(6), np.empty((2, 7)), np.empty((2, 2))
     mean, points, there = slam.mean, slam.points.at, slam.mean[at : at + size]
     value, mount, nu = sightings.values[i], sightings.mount[i], log.innovation[i]
     sensor = placed(mount, mean[pose : pose + 3])
@@ -149,7 +149,7 @@ def decide_jointly(state, sightings, evidence, settings, choice):  # type: ignor
             pairs += distances[k, j] <= evidence.accept[k]
     row, column = np.empty(pairs, np.int64), np.empty(pairs, np.int64)
     innovations = np.zeros(2 * pairs)
-    H, point, pairs = np.empty((pairs, 2, 7)), np.empty(4), 0
+    H, point, pairs = np.empty((pairs, 2, 7)), np.empty(6), 0
     for k in range(m):
         for j in range(candidates.size):
             if distances[k, j] <= evidence.accept[k]:

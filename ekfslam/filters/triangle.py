@@ -99,6 +99,77 @@ def add_both_rows(P, n, at, size, H, first, one, two):  # type: ignore[no-untype
             tail_two[j] += v0 * x + v1 * y + v2 * z
 
 
+@lean
+def downdate(P, W, m, n):  # type: ignore[no-untyped-def]
+    """``P -= W' W`` on the triangle: the map correction (Solà, Eq. 30), O(m n^2).
+
+    Parameters
+    ----------
+    P : (>= n, >= n) ndarray
+    W : (>= m, >= n) ndarray
+        Rows enter four, then two at a time, to read and write P less often.
+
+    Four rows of P are worked on together, so that W is read less often, and from up to three
+    entries before the diagonal of the first, where nothing is read, so that they fill whole
+    vectors. Every entry takes the same arithmetic wherever it stands.
+    """
+    for i in range(0, n - 3, 4):
+        first = max(i - ((i - n) & 3), 0)
+        p0, p1, p2, p3 = P[i, first:n], P[i + 1, first:n], P[i + 2, first:n], P[i + 3, first:n]
+        k = 0
+        while k + 4 <= m:
+            w0, w1, w2, w3 = W[k, first:n], W[k + 1, first:n], W[k + 2, first:n], W[k + 3, first:n]
+            a0, a1, a2, a3 = W[k, i], W[k + 1, i], W[k + 2, i], W[k + 3, i]
+            b0, b1, b2, b3 = W[k, i + 1], W[k + 1, i + 1], W[k + 2, i + 1], W[k + 3, i + 1]
+            c0, c1, c2, c3 = W[k, i + 2], W[k + 1, i + 2], W[k + 2, i + 2], W[k + 3, i + 2]
+            d0, d1, d2, d3 = W[k, i + 3], W[k + 1, i + 3], W[k + 2, i + 3], W[k + 3, i + 3]
+            for j in range(p0.size):
+                x0, x1, x2, x3 = w0[j], w1[j], w2[j], w3[j]
+                p0[j] -= a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
+                p1[j] -= b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
+                p2[j] -= c0 * x0 + c1 * x1 + c2 * x2 + c3 * x3
+                p3[j] -= d0 * x0 + d1 * x1 + d2 * x2 + d3 * x3
+            k += 4
+        while k + 2 <= m:
+            w0, w1 = W[k, first:n], W[k + 1, first:n]
+            a0, a1, b0, b1 = W[k, i], W[k + 1, i], W[k, i + 1], W[k + 1, i + 1]
+            c0, c1, d0, d1 = W[k, i + 2], W[k + 1, i + 2], W[k, i + 3], W[k + 1, i + 3]
+            for j in range(p0.size):
+                x0, x1 = w0[j], w1[j]
+                p0[j] -= a0 * x0 + a1 * x1
+                p1[j] -= b0 * x0 + b1 * x1
+                p2[j] -= c0 * x0 + c1 * x1
+                p3[j] -= d0 * x0 + d1 * x1
+            k += 2
+        for row in range(i, i + 4 if k < m else i):
+            downdate_row(P, W, k, m, n, row)
+    for row in range(n - n % 4, n):
+        downdate_row(P, W, 0, m, n, row)
+
+
+@lean
+def downdate_row(P, W, k, m, n, i):  # type: ignore[no-untyped-def]
+    """`downdate` of one row of P by the rows of W from k on."""
+    row = P[i, i:n]
+    while k + 4 <= m:
+        w0, w1, w2, w3 = W[k, i:n], W[k + 1, i:n], W[k + 2, i:n], W[k + 3, i:n]
+        a0, a1, a2, a3 = w0[0], w1[0], w2[0], w3[0]
+        for j in range(row.size):
+            row[j] -= a0 * w0[j] + a1 * w1[j] + a2 * w2[j] + a3 * w3[j]
+        k += 4
+    while k + 2 <= m:
+        w0, w1 = W[k, i:n], W[k + 1, i:n]
+        a0, a1 = w0[0], w1[0]
+        for j in range(row.size):
+            row[j] -= a0 * w0[j] + a1 * w1[j]
+        k += 2
+    if k < m:
+        last = W[k, i:n]
+        factor = last[0]
+        for j in range(row.size):
+            row[j] -= factor * last[j]
+
+
 @compiled
 def read_rows(P, n, which, rows):  # type: ignore[no-untyped-def]
     """Whole rows of a triangle, (which.size, n)."""

@@ -59,9 +59,7 @@ def move_elsewhere(variant, slam, at, delta, Q, k, seen):  # type: ignore[no-unt
 
 
 @lean
-def foresee_at(  # type: ignore[no-untyped-def]
-    variant, mean, points, sensor, elsewhere, at, size, kind, value, point, H, nu, unused
-):
+def foresee_at(variant, mean, points, sensor, elsewhere, at, size, kind, value, point, H, nu):  # type: ignore[no-untyped-def]
     """`ekfslam.filters.measure.foresee`, the Jacobian where, and of the error that, a filter has.
 
     The innovation is at the latest estimate in all of them.
@@ -72,15 +70,15 @@ def foresee_at(  # type: ignore[no-untyped-def]
         Of `placed`, by the estimate of the pose and by its point of linearisation.
     at : int
         Offset of the target.
-    unused : (2,) ndarray
-        Written.
+    point : (6,) ndarray
+        Written, as by `foresee`; the last two are only worked with.
     """
     if not foresee(kind, size, sensor, mean[at : at + size], value, point, H, nu):
         return False
     if variant == INVARIANT:  # an error of the heading moves robot and landmark as one
         H[0, 2] = H[1, 2] = 0.0
     elif variant in (IDEAL, FEJ, OC):
-        expect(kind, size, elsewhere, points[at : at + size], unused, H)
+        expect(kind, size, elsewhere, points[at : at + size], point[4:], H)
     return True
 
 
