@@ -33,7 +33,13 @@ def room(slam):  # type: ignore[no-untyped-def]
     A row that waits costs 2 n flops with every one that is read, and saves a pass over the n^2 / 2
     entries of the map: on a small map fewer pay.
     """
-    return min(slam.late.shape[0], max(32, slam.size[0] // 16))
+    return room_for(slam.late.shape[0], slam.size[0])
+
+
+@inlined
+def room_for(rows, n):  # type: ignore[no-untyped-def]
+    """How many of so many rows pay in a state of n coordinates."""
+    return min(rows, max(32, n // 16))
 
 
 @compiled

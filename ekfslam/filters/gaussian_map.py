@@ -12,11 +12,11 @@ from ekfslam.dataset import Prior
 from ekfslam.errors import EkfslamError, InputError
 from ekfslam.filters import kernels, triangle
 from ekfslam.filters.arrays import MapArrays, Points, Workspace
-from ekfslam.filters.delayed import FROM, bring_up_to_date
+from ekfslam.filters.delayed import FROM, bring_up_to_date, room_for
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.geometry import Array
 
-AT_ONCE = 64  # rows of a correction that need no memory of their own
+AT_ONCE = 32  # rows of a correction that need no memory of their own
 ASK_FROM = 5000  # coordinates from which memory is asked for first
 
 
@@ -65,7 +65,7 @@ class GaussianMap:
 
     def __init__(self, priors: Prior | Sequence[Prior], landmarks: int = 32, late: int = 0) -> None:
         priors = [priors] if isinstance(priors, Prior) else list(priors)
-        self.robots = len(priors)
+        self.robots, self.late = len(priors), late
         capacity = POSE * self.robots + POINT * max(landmarks, 1)
         check_covariance_fits(capacity)
         self.arrays = MapArrays(
@@ -73,7 +73,7 @@ class GaussianMap:
             np.zeros((capacity, capacity)),
             np.array([POSE * self.robots], dtype=np.int64),
             Points.of(capacity),
-            np.zeros((late, capacity)),
+            np.zeros((room_for(late, capacity), capacity)),
             np.array([0], dtype=np.int64),
             _workspace(late, capacity),
         )
@@ -138,8 +138,8 @@ class GaussianMap:
         capacity = max(size, 2 * capacity)
         n = self.size
         mean, covariance = np.zeros(capacity), np.zeros((capacity, capacity))
-        late = np.zeros((len(self.arrays.late), capacity))
-        late[:, :n] = self.arrays.late[:, :n]
+        late = np.zeros((room_for(self.late, capacity), capacity))
+        late[: len(self.arrays.late), :n] = self.arrays.late[:, :n]
         mean[:n] = self.arrays.mean[:n]
         triangle.copy_triangle(self.arrays.covariance, n, covariance)
         points, room = self.arrays.points, np.zeros(capacity - len(self.arrays.mean))
@@ -151,7 +151,7 @@ class GaussianMap:
             covariance=covariance,
             points=points,
             late=late,
-            workspace=_workspace(len(late), capacity),
+            workspace=_workspace(self.late, capacity),
         )
 
     def move(self, increment: Array, covariance: Array, robot: int = 0) -> None:
