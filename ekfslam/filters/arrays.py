@@ -69,11 +69,19 @@ class Workspace(NamedTuple):
     @classmethod
     def of(cls, rows: int, width: int, capacity: int) -> Workspace:
         """Room for corrections of so many rows; `width` is that of the rows themselves."""
-        whole = [np.empty(rows, dtype=np.int64) for _ in range(3)]
-        few = np.empty(6), np.empty(2)
-        square, step = np.empty((rows, rows)), np.empty(capacity)
-        H, innovation = np.empty((rows, 2, 7)), np.empty(rows)
-        return cls(np.empty((rows, width)), square, innovation, step, H, *whole, *few)
+        places, sizes, which = (np.empty(rows, dtype=np.int64) for _ in range(3))
+        return cls(
+            np.empty((rows, width)),
+            np.empty((rows, rows)),
+            np.empty(rows),
+            np.empty(capacity),
+            np.empty((rows, 2, 7)),
+            places,
+            sizes,
+            which,
+            np.empty(6),
+            np.empty(2),
+        )
 
 
 class MapArrays(NamedTuple):
