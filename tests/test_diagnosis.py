@@ -18,7 +18,7 @@ from ekfslam.estimates import Estimate, LandmarkEstimates, Trajectory
 from ekfslam.filters.family import Iekf
 from ekfslam.registry import resolve
 from ekfslam.validation import check, diagnose
-from ekfslam.validation.mistakes import CATALOGUE
+from ekfslam.validation.catalogue import CATALOGUE
 from ekfslam.validation.suspects import run
 
 PAGE = (Path(__file__).parents[1] / "docs" / "validation.md").read_text(encoding="utf-8")

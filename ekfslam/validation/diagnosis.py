@@ -22,6 +22,7 @@ from ekfslam.dataset import Dataset
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import FAILED, SKIPPED
 from ekfslam.registry import Estimator, resolve
+from ekfslam.validation.catalogue import OWN_NOISE
 from ekfslam.validation.gates import Gate, measured_gate
 from ekfslam.validation.matching import (
     Case,
@@ -35,7 +36,7 @@ from ekfslam.validation.matching import (
     in_some_style,
     own_noise,
 )
-from ekfslam.validation.mistakes import GATE, LINES, OWN_NOISE
+from ekfslam.validation.mistakes import GATE, LINES
 from ekfslam.validation.probes import ANGULAR, NOISE, PROBES, Probe, with_last
 from ekfslam.validation.suspects import Answer, run
 

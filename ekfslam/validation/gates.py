@@ -22,7 +22,6 @@ NEAREST, FARTHEST = 0.05, 20.0  # sigmas; who rejects the one believes nothing
 DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-0.6, 0.8]])  # of whitened innovations
 PROBABILITIES = (0.9, 0.95, 0.975, 0.99, 0.995, 0.999, 0.9999)
 USUAL = (*(float(chdtri(2, 1 - p)) for p in PROBABILITIES), 9.0, *(3.841, 6.635))
-SENSIBLE = (*USUAL[:8], *(float(chdtri(2, 1 - p)) for p in (0.5, 0.8, 0.98, 0.997, 0.9973)))
 NEAR = 3e-3  # relative: tables of quantiles have three digits
 
 
@@ -54,20 +53,13 @@ class Gate(NamedTuple):
 
     def confused(self) -> tuple[str, float] | None:
         """Root or square of a usual threshold: which, and of what; None for what makes sense."""
-        if not self.of_mahalanobis or _among(self.threshold, SENSIBLE) is not None:
+        if not self.of_mahalanobis:
             return None
         for what, squared in (("root", self.threshold**2), ("square", self.threshold**0.5)):
-            usual = _among(squared, USUAL)
-            if usual is not None:
-                return what, usual
+            for usual in USUAL:
+                if abs(squared - usual) <= NEAR * usual:
+                    return what, usual
         return None
-
-
-def _among(value: float, listed: tuple[float, ...]) -> float | None:
-    for each in listed:
-        if abs(value - each) <= NEAR * each:
-            return each
-    return None
 
 
 def measured_gate(

@@ -17,7 +17,8 @@ from scipy.optimize import minimize_scalar
 from ekfslam import geometry as geo
 from ekfslam.dataset import Dataset
 from ekfslam.geometry import Array
-from ekfslam.validation.mistakes import CATALOGUE, OWN_NOISE, Mistake
+from ekfslam.validation.catalogue import CATALOGUE, OWN_NOISE
+from ekfslam.validation.mistakes import Mistake
 from ekfslam.validation.probes import Probe
 from ekfslam.validation.suspects import Answer, run
 

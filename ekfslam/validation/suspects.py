@@ -2,7 +2,7 @@
 
 With no mistake it is the filter of the texts (Solà, section 2.3). It is slow and meant for runs of
 a few poses: what a filter under test says of these is compared with what this one says with this or
-that mistake. What each means is in `ekfslam.validation.mistakes`.
+that mistake. What each means is in `ekfslam.validation.catalogue`.
 """
 
 from __future__ import annotations
