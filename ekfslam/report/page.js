@@ -264,6 +264,9 @@ class RunMap {
   }
 
   go(at) {
+    document.body.classList.add("stepping");
+    clearTimeout(this.rest);
+    this.rest = setTimeout(() => document.body.classList.remove("stepping"), 2000);
     this.at = at;
     this.slider.value = at;
     this.show();
