@@ -302,7 +302,7 @@ def _module(name: str) -> str:
         spec = importlib.util.find_spec(top)
     except (ImportError, ValueError):
         spec = None
-    if spec is None or spec.origin is None:
+    if spec is None or spec.origin is None or not spec.has_location:  # or built in
         return ""
     folders = spec.submodule_search_locations or []
     files = sorted(path for folder in folders for path in Path(folder).rglob("*.py"))
