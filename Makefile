@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench reference bars study campaigns clean
+.PHONY: demo test bench reference bars rates study campaigns clean
 
 demo: $(VENV)/.installed
 	@echo "== four estimators on a simulated park and on the recorded Victoria Park =="
@@ -33,6 +33,11 @@ reference: $(VENV)/.installed
 bars: $(VENV)/.installed
 	$(BIN)/python tests/bars.py
 	$(BIN)/python tests/far_starts.py
+
+# Rewrites results/plugin-rates.csv: how often the assertions of ekfslam.testing fail, rightly and
+# not; half an hour.
+rates: $(VENV)/.installed
+	$(BIN)/python tests/plugin_rates.py
 
 # Rewrites results/study-association.
 study: $(VENV)/.installed

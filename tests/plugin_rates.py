@@ -26,12 +26,14 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
-import ekfslam
 from ekfslam.dataset import Dataset
+from ekfslam.evaluation import absolute_errors, pose_nees, relative_errors
+from ekfslam.evaluation.statistics import rmse
+from ekfslam.registry import Estimator, resolve
+from ekfslam.simulation import simulate
 from ekfslam.testing.assertions import bounded
 from ekfslam.testing.pairing import Pair, not_worse
-from ekfslam.testing.runs import Problem, problem_of, run
-from ekfslam.testing.session import current
+from ekfslam.testing.runs import problem_of
 from ekfslam.testing.statistics import expected_interval
 
 FILE = Path(__file__).parents[1] / "results" / "plugin-rates.csv"
@@ -39,7 +41,6 @@ SCENARIO = "loop-15"
 MANY, SOME, FEW = 20_000, 10_000, 5_000
 """Seeds: 200 regressions of 100, or half or a quarter of them."""
 SEEDS = (20, 50, 100, 200)
-CHUNK = 500
 ALPHA = 0.01
 JITTER = 0.3
 TAKEN_FOR_BETTER = 0.47
@@ -51,61 +52,67 @@ ATE, RPE, NEES = "ate_position_rmse_m", "rpe_position_rmse_m", "nees_pose_final"
 KEPT = [ATE, RPE, NEES, "nis_sum", "nis_dof_sum"]
 
 
-def jittered(side: int, seed: int) -> Dataset:
-    """A draw with noise on top that is small beside the sensor's own."""
-    data = ekfslam.simulate(SCENARIO, seed=seed)
-    random = np.random.default_rng([seed, side])
+def jittered(data: Dataset, side: int) -> Dataset:
+    """The draw with noise on top that is small beside the sensor's own."""
+    random = np.random.default_rng([int(data.seed or 0), side])
     factor = np.linalg.cholesky(data.sensors[0].covariance)
     noise = JITTER * random.standard_normal(data.observations.values.shape) @ factor.T
     values = data.observations.values + noise
     return replace(data, observations=replace(data.observations, values=values))
 
 
-def mistaken(seed: int) -> Dataset:
-    """A draw whose sensor is stated to be better than it is."""
-    data = ekfslam.simulate(SCENARIO, seed=seed)
+def mistaken(data: Dataset) -> Dataset:
+    """The draw whose sensor is stated to be better than it is."""
     stated = [replace(s, covariance=TAKEN_FOR_BETTER * s.covariance) for s in data.sensors]
     return replace(data, sensors=tuple(stated))
 
 
-def nearly_linear(seed: int) -> Dataset:
-    """A draw of little noise, stated and drawn."""
-    return ekfslam.simulate(SCENARIO, seed=seed, noise=LITTLE)
-
-
 class Variant(NamedTuple):
-    """What is run on so many seeds: an estimator, and the data if not the scenario's own."""
+    """What is run on so many seeds: an estimator, and what becomes of the data."""
 
     estimator: str
     seeds: int
-    draw: Callable[[int], Dataset] | None = None
+    data: Callable[[Dataset], Dataset] = lambda data: data
 
 
 VARIANTS = {
     "as it is": Variant("ekf", MANY),
-    "jitter": Variant("ekf", MANY, partial(jittered, 1)),
-    "another jitter": Variant("ekf", MANY, partial(jittered, 2)),
+    "jitter": Variant("ekf", MANY, partial(jittered, side=1)),
+    "another jitter": Variant("ekf", MANY, partial(jittered, side=2)),
     "mistaken": Variant("ekf", SOME, mistaken),
-    "linear": Variant("ekf", MANY, nearly_linear),
+    "linear": Variant("ekf", MANY, lambda data: simulate(SCENARIO, data.seed, noise=LITTLE)),
     "ekf-ri": Variant("ekf-ri", FEW),
 }
 
 
-def pooled(share: float = 1.0) -> dict[str, pd.DataFrame]:
-    """Numbers of each variant, a row per seed; of a share of the seeds."""
-    found = {}
-    for name, variant in VARIANTS.items():
-        problem = problem_of(SCENARIO)
-        if variant.draw is not None:
-            problem = Problem(name, name, variant.draw, simulated=True)
-        parts = []
-        for start in range(0, int(share * variant.seeds), CHUNK):
-            print(f"{name}: seed {start} of {variant.seeds}", flush=True)
-            rows = run(variant.estimator, problem, range(start, start + CHUNK))
-            parts.append(rows.set_index("seed")[KEPT].astype(float))
-            current().forget()
-        found[name] = pd.concat(parts)
-    return found
+def numbers(estimator: Estimator, data: Dataset) -> list[float]:
+    """`KEPT` of one run, as the table `summary` has them."""
+    estimate, truth = estimator.estimate(data), data.robots[0].truth
+    poses, covariances = estimate.online.poses, estimate.online.covariances
+    return [
+        rmse(absolute_errors(poses, truth).position),
+        rmse(relative_errors(poses, truth, 10.0).position),
+        float(pose_nees(poses[-1], truth[-1], covariances[-1])),
+        float(np.nansum(estimate.step_nis)),
+        float(estimate.step_dof.sum()),
+    ]
+
+
+def pooled(share: float = 1.0, part: int = 0, parts: int = 1) -> dict[str, pd.DataFrame]:
+    """Numbers of each variant, a row per seed; of a share of the seeds, or of a part of them."""
+    estimators = {name: resolve(each.estimator) for name, each in VARIANTS.items()}
+    found: dict[str, dict[int, list[float]]] = {name: {} for name in VARIANTS}
+    for seed in range(part, int(share * MANY), parts):
+        if seed % 1000 == part:
+            print(f"seed {seed} of {MANY}", flush=True)
+        data = simulate(SCENARIO, seed)
+        for name, variant in VARIANTS.items():
+            if seed < share * variant.seeds:
+                found[name][seed] = numbers(estimators[name], variant.data(data))
+    return {
+        name: pd.DataFrame.from_dict(rows, orient="index", columns=KEPT)
+        for name, rows in found.items()
+    }
 
 
 # Rows ------------------------------------------------------------------------------------------

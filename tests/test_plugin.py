@@ -12,7 +12,7 @@ import pytest
 import ekfslam
 import ekfslam.plots.seeds
 import ekfslam.testing.assertions  # a session inside this one forgets what it imports
-from ekfslam.testing.references import TITLE, read_reference
+from ekfslam.testing.references import TITLE, read_reference, rewrite
 
 pytest_plugins = "pytester"
 
@@ -156,6 +156,7 @@ def test_workers_write_what_one_process_writes(run, pytester):
     found, _ = run(changed, "--ekfslam-update", "-k", "4.0 and loop")
     found.assert_outcomes(passed=1, deselected=4)
     both = read_reference(stored).merge(table, on=["scenario", "estimator", "seed"])
+    assert len(both) == len(table)
     moved = both[f"{ATE}_x"] != both[f"{ATE}_y"]
     keys = both.loc[moved & both[f"{ATE}_x"].notna(), ["estimator", "scenario"]]
     assert set(map(tuple, keys.to_numpy())) == {("mine-4", "loop-15")}
@@ -270,6 +271,20 @@ def test_a_summary_is_a_reference_that_is_not_overwritten(run, pytester):
         found.assert_outcomes(failed=1)
         assert "summary.csv has no runs of iekf: say on which scenario" in text
     assert summary.read_bytes() == before
+
+
+def test_of_a_run_on_another_draw_nothing_stays(tmp_path):
+    file = tmp_path / "mine.csv"
+    row = {"scenario": "s", "estimator": "e", "series": "online", "robot": "r", "status": "ok"}
+    row |= {"versions": "v 1"}
+    rewrite(file, [row | {"seed": seed, "draw": 10.0, ATE: 1.0} for seed in (0, 1)])
+    rewrite(file, [row | {"seed": 0, "draw": 10.0 + 1e-9, "rpe": 2.0, "versions": "v 2"}])
+    table = read_reference(file)
+    assert table["rpe"].tolist()[:1] == [2.0]
+    assert table[ATE].tolist() == [1.0, 1.0]
+    assert "# e on s: v 2" in file.read_text().splitlines()
+    rewrite(file, [row | {"seed": 0, "draw": 11.0, "rpe": 3.0}])
+    assert read_reference(file)[ATE].isna().tolist() == [True, False]
 
 
 LOST = """

@@ -174,6 +174,24 @@ def test_how_often_runs_diverge_is_a_claim_where_the_reference_has_some():
         assert_not_worse(Lost(*range(10)), Lost(3), "loop-15", seeds=10)
 
 
+class Breaks(Lost):
+    """The EKF, but for seeds at which it raises."""
+
+    name = "breaks"
+
+    def estimate(self, data):
+        if data.seed in self.seeds:
+            raise ValueError("no pivot")
+        return super().estimate(data)
+
+
+def test_a_seed_at_which_both_fail_is_left_out():
+    with pytest.raises(AssertionError, match=r"1 failed of 9 runs, first seed 6 .*no pivot"):
+        assert_not_worse(Breaks(5, 6), Breaks(5), "loop-15", seeds=9)
+    found = assert_not_worse(Breaks(5), Breaks(5, 6), "loop-15", seeds=9)
+    assert found.claims["seeds"].tolist() == [7]
+
+
 def test_several_robots_count_as_one_run_and_as_claims_of_their_own():
     together = assert_accuracy("ekf", "team", seeds=2, ate_position_rmse_m=9.0)
     one = assert_accuracy("ekf", "team", seeds=2, robot="bob", ate_position_rmse_m=9.0)

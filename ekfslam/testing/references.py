@@ -75,7 +75,7 @@ def rewrite(path: Path, records: Sequence[Record]) -> None:
     if path.exists():
         said = _versions(path) | said
         new = _combined(new, read_reference(path))
-    new = _unique(new).sort_values(KEYS, kind="stable", ignore_index=True)
+    new = _unique(new)
     metrics = sorted(name for name in new.columns if name not in LEAD)
     text = io.StringIO()
     lines = [TITLE, *(f"# {group}: {words}" for group, words in sorted(said.items()))]
@@ -109,7 +109,7 @@ def _versions(path: Path) -> dict[str, str]:
 
 
 def _unique(rows: pd.DataFrame) -> pd.DataFrame:
-    """One row for each run, from all that tests had to say of it."""
+    """One row for each run, in order, from all that tests had to say of it."""
     return rows.groupby(KEYS, dropna=False, as_index=False).last()
 
 
