@@ -1,27 +1,37 @@
-"""What the command prints: tables of which every number is readable in a terminal."""
+"""What the command tells people: results as tables, with what there is to say of them."""
 
 from __future__ import annotations
 
-import sys
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from shutil import get_terminal_size
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.measure import Measurement
 from rich.padding import Padding
 from rich.table import Table
+
+from ekfslam.cli.columns import (
+    ASSOCIATED,
+    BEACONS,
+    COMPARED,
+    MEASURED,
+    OVER_RUNS,
+    PAIRED,
+    SPREAD,
+    STARTED,
+    STUDIED,
+    Column,
+    plus_minus,
+)
+from ekfslam.cli.tables import WIDE, console, known, needed, print_table, terminal_width
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from ekfslam.experiments import AssociationStudy, CampaignResults, PartialStudy
     from ekfslam.validation import Finding, Report
-
-WIDE = 150  # columns that a table may take
 
 
 def print_large(files: Iterable[Path], asked: bool) -> None:
@@ -32,20 +42,20 @@ def print_large(files: Iterable[Path], asked: bool) -> None:
 
 
 def print_list(rows: list[tuple[str, str]]) -> None:
-    """Names with what they are."""
+    """Names with what they are: in a pipe each on one line."""
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column()
     for row in rows:
         table.add_row(*map(escape, row))
-    _console().print(table)
+    console(terminal_width() or needed(table)).print(table)
 
 
 def print_summary(summary: pd.DataFrame, notes: Mapping[str, Sequence[str]] | None = None) -> None:
     """Dataset by dataset, with its notes, and a column only where it says something."""
     import pandas as pd
 
-    console = _console()
+    out = console()
     # The position alone is judged where the whole pose cannot be.
     alone = summary["nees_position_mean"].where(summary["nees_pose_mean"].isna())
     summary = summary.assign(nees_position_mean=alone)
@@ -53,12 +63,13 @@ def print_summary(summary: pd.DataFrame, notes: Mapping[str, Sequence[str]] | No
     for (name, seed), part in groups:
         who = ["robot"] if part["robot"].nunique() > 1 else []
         lead = ["estimator", *who, "series", "status"]
-        _print(_table(part, lead, MEASURED, _title(name, seed, part)))
+        print_table(part, lead, MEASURED, _title(name, seed, part))
         for _, row in part.drop_duplicates("estimator").iterrows():
             if isinstance(row["message"], str) and row["message"]:
-                console.print(escape(f"  {row['estimator']}: {row['message']}"), style="dim")
+                told = escape(f"  {row['estimator']}: {row['message']}")
+                out.print(told, style="dim", soft_wrap=True)
         for note in (notes or {}).get(name, ()):
-            console.print(Padding(escape(note), (0, 0, 0, 2)), style="dim")
+            out.print(Padding(escape(note), (0, 0, 0, 2)), style="dim")
         once = part.drop_duplicates(["estimator", *who])
         # Who localizes on a map that is given decides, too, and estimates no landmark.
         told = once[["landmarks_estimated", "association_precision"]].notna().any(axis=1)
@@ -68,35 +79,39 @@ def print_summary(summary: pd.DataFrame, notes: Mapping[str, Sequence[str]] | No
                 landmarks_undetermined=once["landmarks_undetermined"].replace(0, pd.NA)
             )
             lead = ["estimator", *who, "association"]
-            _print(_table(once, lead, ASSOCIATED, "who was taken for whom"))
-        console.print()
+            print_table(once, lead, ASSOCIATED, "who was taken for whom")
+        out.print()
+
+
+STYLES = {"pass": "green", "fail": "bold red", "inconsistent": "yellow", "does not apply": "dim"}
 
 
 def print_report(report: Report) -> None:
-    """The rungs of the ladder."""
-    console = _console()
+    """The rungs of the ladder, and what is wrong; details below them in a narrow terminal."""
+    narrow = (terminal_width() or WIDE) < WIDE
     table = Table(title=escape(f"ladder for {report.estimator}"), title_justify="left", box=None)
     for heading in ("", "rung", "scenario", "outcome", "measured", "bound"):
-        table.add_column(heading, no_wrap=True)
-    table.add_column("where")
-    style = {
-        "pass": "green",
-        "fail": "bold red",
-        "inconsistent": "yellow",
-        "does not apply": "dim",
-    }
+        table.add_column(heading, no_wrap=not (narrow and heading == "rung"))
+    if not narrow:
+        table.add_column("where")
     for rung in report.rungs:
         measured = "" if rung.measured != rung.measured else f"{rung.measured:.2g}"
         table.add_row(
             str(rung.number),
             rung.name,
             rung.scenario,
-            f"[{style[rung.outcome]}]{rung.outcome}[/]",
+            f"[{STYLES[rung.outcome]}]{rung.outcome}[/]",
             measured,
             f"{'>=' if rung.at_least else '<='} {rung.bound:g}",
-            escape(rung.detail),
+            *(() if narrow else (escape(rung.detail),)),
         )
-    console.print(table)
+    console(terminal_width() or needed(table)).print(table)
+    if narrow:
+        console().print()
+    for rung in report.rungs if narrow else ():
+        if rung.detail:
+            text = f"{rung.number} {rung.scenario}: {rung.detail}"
+            print(textwrap.fill(text, terminal_width() or WIDE, subsequent_indent="  "))
     if report.findings:
         _print_findings(report.findings)
     if report.consistent is not None:
@@ -117,57 +132,56 @@ def _print_findings(findings: Sequence[Finding]) -> None:
 
 def print_study(study: AssociationStudy) -> None:
     """Noise by noise, the methods below each other; then the two rivals draw by draw."""
-    console = _console()
+    out = console()
     config = study.config
     title = f"{config['scenario']}: the same {config['seeds']} draws for each method, by noise"
     shown = study.summary.assign(
-        ate=[_plus_minus(*pair) for pair in _pairs(study.summary, "ate_m_mean", "ate_m_se")]
+        ate=[plus_minus(*pair) for pair in _pairs(study.summary, "ate_m_mean", "ate_m_se")]
     )
-    table = _table(shown, ["odometry_noise", "method"], STUDIED, title, apart="odometry_noise")
-    _print(table)
+    print_table(shown, ["odometry_noise", "method"], STUDIED, title, apart="odometry_noise")
     odd = study.runs[study.runs["status"].isin(["failed", "skipped"])].drop_duplicates("method")
     for _, row in odd.iterrows():
-        console.print(escape(f"  {row['method']}: {row['status']}: {row['message']}"), style="dim")
-    console.print()
+        out.print(escape(f"  {row['method']}: {row['status']}: {row['message']}"), style="dim")
+    out.print()
     if len(study.paired):
         first = study.paired.iloc[0]
         rivals = f"{first['method']} minus {first['against']} on the same draws"
         names = "ate_m_difference_mean", "ate_m_difference_se"
         shown = study.paired.assign(
-            ate=[_plus_minus(*pair) for pair in _pairs(study.paired, *names)]
+            ate=[plus_minus(*pair) for pair in _pairs(study.paired, *names)]
         )
-        _print(_table(shown, ["odometry_noise"], PAIRED, rivals))
-        console.print()
+        print_table(shown, ["odometry_noise"], PAIRED, rivals)
+        out.print()
 
 
 def print_partial_study(study: PartialStudy) -> None:
     """Scenario by scenario, then the recorded sets, ways to start landmarks below each other."""
-    console = _console()
+    out = console()
     title = f"partial observations: the same {study.config['seeds']} draws for each estimator"
     shown = study.summary.assign(
-        ate=[_plus_minus(*pair) for pair in _pairs(study.summary, "ate_m_mean", "ate_m_se")],
+        ate=[plus_minus(*pair) for pair in _pairs(study.summary, "ate_m_mean", "ate_m_se")],
         nees=[
-            _plus_minus(*pair) for pair in _pairs(study.summary, "nees_final_mean", "nees_final_se")
+            plus_minus(*pair) for pair in _pairs(study.summary, "nees_final_mean", "nees_final_se")
         ],
     )
-    _print(_table(shown, ["dataset", "estimator"], STARTED, title, apart="dataset"))
-    console.print()
+    print_table(shown, ["dataset", "estimator"], STARTED, title, apart="dataset")
+    out.print()
     if len(study.recorded):
         lead = ["dataset", "estimator", "series", "status"]
         title = "recorded ranges: beacons after the path is aligned with the truth"
-        _print(_table(study.recorded, lead, BEACONS, title, apart="dataset"))
-        console.print()
+        print_table(study.recorded, lead, BEACONS, title, apart="dataset")
+        out.print()
 
 
 def print_campaign(results: CampaignResults) -> None:
     """Scenario by scenario the estimators below each other, then who beats whom."""
-    console = _console()
+    out = console()
     done, cells = results.cells
     if done < cells:
-        console.print(f"{done} of {cells} cells are done; this is what they say", style="bold")
+        out.print(f"{done} of {cells} cells are done; this is what they say", style="bold")
     summary = results.summary
     columns: dict[str, Any] = {
-        name: [_plus_minus(*pair) or None for pair in _pairs(summary, *names)]
+        name: [plus_minus(*pair) or None for pair in _pairs(summary, *names)]
         for name, names in SPREAD.items()
     }
     columns["interval"] = [
@@ -180,18 +194,18 @@ def print_campaign(results: CampaignResults) -> None:
     shown = shown.merge(times.rename("seconds").reset_index(), on=keys, how="left")
     for name, part in shown.groupby("scenario", sort=False):
         apart = [key for key in ("series", "robot") if part[key].nunique() > 1]
-        _print(_table(part, ["estimator", *apart], OVER_RUNS, str(name)))
+        print_table(part, ["estimator", *apart], OVER_RUNS, str(name))
         runs = results.runs[results.runs["scenario"] == name]
         without = runs[runs["status"].isin(["failed", "skipped"])]
         for estimator, rows in without.groupby("estimator", sort=False):
             first = rows.iloc[0]
             text = f"  {estimator}: {first['status']} at {len(rows)} seeds: {first['message']}"
-            console.print(escape(text), style="dim")
-        console.print()
-        _print_pairs(console, results.pairs[results.pairs["scenario"] == name])
+            out.print(escape(text), style="dim")
+        out.print()
+        _print_pairs(out, results.pairs[results.pairs["scenario"] == name])
 
 
-def _print_pairs(console: Console, pairs: pd.DataFrame) -> None:
+def _print_pairs(out: Console, pairs: pd.DataFrame) -> None:
     """Who beats whom on the same seeds, metric by metric, effect size first."""
     met = pairs[pairs["seeds"] > 0]
     if len(met):
@@ -199,7 +213,7 @@ def _print_pairs(console: Console, pairs: pd.DataFrame) -> None:
         names = "mean_difference", "half_width"
         percent = f"a − b\nmean ± ({100 * first['probability']:g} %)"
         shown = met.assign(
-            difference=[_plus_minus(*pair) for pair in _pairs(met, *names)],
+            difference=[plus_minus(*pair) for pair in _pairs(met, *names)],
             missing=met["missing"].where(met["missing"] > 0),
             seen=[row["verdict"].partition(f" on {row['metric']}")[0] for _, row in met.iterrows()],
         )
@@ -214,134 +228,13 @@ def _print_pairs(console: Console, pairs: pd.DataFrame) -> None:
         many = first["comparisons"]
         title = "on the same seeds"
         title += f"; intervals of each alone, p adjusted for {many} comparisons" if many else ""
-        _print(_table(shown, lead, columns, title, apart="metric"))
+        print_table(shown, lead, columns, title, apart="metric")
     strangers = pairs[pairs["seeds"] == 0].groupby(["a", "b"], sort=False)["metric"]
     for (a, b), metrics in strangers:
         text = f"  {a}, {b}: no seed has a number of both on {', '.join(metrics.unique())}"
-        console.print(escape(text), style="dim", soft_wrap=True)
+        out.print(escape(text), style="dim", soft_wrap=True)
     if len(pairs):
-        console.print()
-
-
-# Columns ----------------------------------------------------------------------------------------
-
-
-class Column(NamedTuple):
-    """A column of a table, its heading, and how its numbers are written."""
-
-    name: str
-    heading: str
-    form: Callable[[Any], str]
-
-
-def _digits(value: float) -> str:
-    if abs(value) < 1000 or abs(value) >= 1e6:
-        return f"{value:.3g}"
-    return f"{value:.0f}"
-
-
-def _seconds(value: float) -> str:
-    return f"{value:.3f}" if value < 100 else f"{value:.0f}"
-
-
-def _share(value: float) -> str:
-    return f"{value:.4f}"
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.0f} %"
-
-
-def _plus_minus(mean: float, error: float) -> str:
-    return _digits(mean) + (f" ± {error:.2g}" if error == error else "") if mean == mean else ""
-
-
-MEASURED = (
-    Column("ate_position_rmse_m", "ATE\n[m]", _digits),
-    Column("ate_heading_rmse_rad", "ATE\n[rad]", _digits),
-    Column("rpe_position_rmse_m", "RPE\n[m]", _digits),
-    Column("landmark_rmse_m", "landm.\n[m]", _digits),
-    Column("nees_pose_mean", "NEES\n(3)", _digits),
-    Column("nees_position_mean", "NEES\npos. (2)", _digits),
-    Column("nis_per_dof", "NIS\n/dof", _digits),
-    Column("effective_samples_mean", "eff.\nsamples", _digits),
-    Column("graph_chi2_per_dof", "chi2\n/dof", _digits),
-    Column("gap_final_position_m", "pose gap\nto batch [m]", _digits),
-    Column("gap_landmark_rmse_m", "map gap\n[m]", _digits),
-    Column("sigma_ratio_position", "sigma\nratio", _digits),
-    Column("time_total_s", "time\n[s]", _seconds),
-    Column("time_per_step_mean_us", "per step\n[us]", _digits),
-)
-ASSOCIATED = (
-    Column("association_precision", "precision", _share),
-    Column("association_recall", "recall", _share),
-    Column("landmarks_estimated", "in map", str),
-    Column("landmarks_undetermined", "of open\ndistance", str),
-    Column("landmarks_missed", "missed", str),
-    Column("landmarks_spurious", "spurious", str),
-    Column("landmarks_duplicate", "duplicate", str),
-    Column("landmarks_merged", "merged", str),
-)
-STUDIED = (
-    Column("precision_mean", "precision", _share),
-    Column("recall_mean", "recall", _share),
-    Column("ate", "ATE [m]\nmean ± s.e.", str),
-    Column("ate_m_median", "ATE [m]\nmedian", _digits),
-    Column("nees_mean", "NEES (3)\nmean", _digits),
-    Column("nees_median", "NEES (3)\nmedian", _digits),
-    Column("share_diverged", "diverged", _percent),
-)
-PAIRED = (
-    Column("ate", "ATE [m]\nmean ± s.e.", str),
-    Column("share_better", "less in", _percent),
-    Column("runs", "draws", str),
-)
-SPREAD = {
-    "nees": ("run_nees_pose_mean", "run_nees_pose_se"),
-    "invariant": ("run_nees_pose_invariant_mean", "run_nees_pose_invariant_se"),
-    "nis": ("nis_per_dof", "nis_per_dof_sd"),
-    "ate": ("ate_position_rmse_m_mean", "ate_position_rmse_m_se"),
-    "samples": ("effective_samples_mean", "effective_samples_se"),
-}
-OVER_RUNS = (
-    Column("runs", "runs", str),
-    Column("diverged_share", "diverged", _percent),
-    Column("nees", "NEES (3)\nmean ± s.e.", str),
-    Column("run_nees_pose_median", "NEES (3)\nmedian", _digits),
-    Column("invariant", "inv. NEES (3)\nmean ± s.e.", str),
-    Column("final_nees_pose_mean", "final\nNEES (3)", _digits),
-    Column("interval", "95 % of it, if\nconsistent", str),
-    Column("nis", "NIS/dof\n± s.d.", str),
-    Column("ate", "ATE [m]\nmean ± s.e.", str),
-    Column("samples", "eff. samples\nmean ± s.e.", str),
-    Column("sigma_ratio_position_median", "sigma ratio\nmedian", _digits),
-    Column("gap_final_position_m_median", "pose gap [m]\nmedian", _digits),
-    Column("graph_chi2_per_dof", "chi2\n/dof", _digits),
-    Column("seconds", "time [s]\nmedian", _seconds),
-)
-COMPARED = (
-    Column("share_a_less", "a less\nin", _percent),
-    Column("p_adjusted", "p\nadjusted", lambda p: f"{p:.2g}"),
-)
-HEADINGS = {"odometry_noise": "noise"}
-
-
-STARTED = (
-    Column("share_diverged", "diverged", _percent),
-    Column("nees", "final NEES (3)\nmean ± s.e.", str),
-    Column("nees_final_median", "median", _digits),
-    Column("ate", "ATE [m]\nmean ± s.e.", str),
-    Column("landmark_m_mean", "landm.\n[m]", _digits),
-    Column("landmarks_mean", "landm.\nfound", _digits),
-)
-
-BEACONS = (
-    Column("ate_position_rmse_m", "ATE\n[m]", _digits),
-    Column("aligned_landmark_rmse_m", "beacons\nrms [m]", _digits),
-    Column("aligned_landmark_max_m", "largest\n[m]", _digits),
-    Column("nees_pose_mean", "NEES\n(3)", _digits),
-    Column("nis_per_dof", "NIS\n/dof", _digits),
-)
+        out.print()
 
 
 def _associated(part: pd.DataFrame) -> bool:
@@ -357,71 +250,12 @@ def _title(name: str, seed: Any, part: pd.DataFrame) -> str:
     first = part.iloc[0]
     of_robots = part[part["estimator"] == first["estimator"]].drop_duplicates("robot")
     poses, true = first["steps"] * len(of_robots), of_robots["truth_poses"].sum()
-    title = f"{name}, seed {seed}" if _known(seed) else name
+    title = f"{name}, seed {seed}" if known(seed) else name
     title += f": {first['steps']} poses, {of_robots['observations'].sum()} observations"
     there = first["landmarks_true"]
-    title += f", {there} landmarks" if _known(there) else ""
+    title += f", {there} landmarks" if known(there) else ""
     return title + (f", true positions of {true} of {poses} poses" if 0 < true < poses else "")
-
-
-# Tables -----------------------------------------------------------------------------------------
-
-
-def _table(
-    rows: pd.DataFrame,
-    lead: list[str],
-    columns: Iterable[Column],
-    title: str,
-    apart: str | None = None,
-) -> Table:
-    """Some columns of text or keys, and those of the numbers that are known in any row.
-
-    Rows of different values of the column `apart` are kept apart.
-    """
-    table = Table(title=escape(title), title_justify="left", title_style="bold", box=None)
-    for name in lead:
-        table.add_column(escape(HEADINGS.get(name, name)), no_wrap=True)
-    shown = [column for column in columns if rows[column.name].notna().any()]
-    for column in shown:
-        table.add_column(escape(column.heading), justify="right", no_wrap=True)
-    before = None
-    for _, row in rows.iterrows():
-        if apart is not None and before is not None and row[apart] != before:
-            table.add_row()
-        before = None if apart is None else row[apart]
-        words = [escape(_word(row[name])) for name in lead]
-        table.add_row(*words, *(_text(row[c.name], c.form) for c in shown))
-    return table
 
 
 def _pairs(rows: pd.DataFrame, *names: str) -> Iterable[tuple[float, ...]]:
     return rows[list(names)].itertuples(index=False)
-
-
-def _known(value: Any) -> bool:
-    import pandas as pd
-
-    return not pd.isna(value)
-
-
-def _word(value: Any) -> str:
-    if isinstance(value, float):
-        return "" if value != value else f"{value:g}"
-    return str(value) if _known(value) else ""
-
-
-def _text(value: Any, form: Callable[[Any], str]) -> str:
-    return form(value) if _known(value) else ""
-
-
-def _console(needed: int = 0) -> Console:
-    # Never cut a number off: a table that is wider than the terminal is for it to wrap.
-    width = max(WIDE, get_terminal_size().columns) if sys.stdout.isatty() else WIDE
-    return Console(width=max(width, needed))
-
-
-def _print(table: Table) -> None:
-    """Print a table as wide as it is: long names of estimators cost no number."""
-    console = _console()
-    endless = console.options.update(width=10_000)
-    _console(Measurement.get(console, endless, table).maximum).print(table)
