@@ -6,11 +6,13 @@ from collections.abc import Callable
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ekfslam.dataset import Dataset
 from ekfslam.datasets.catalogue import RECORDED, Recorded
 from ekfslam.errors import InputError, UnknownNameError
+
+if TYPE_CHECKING:
+    from ekfslam.dataset import Dataset
 
 __all__ = ["RECORDED", "Recorded", "is_recorded", "load_recorded", "of_name"]
 
