@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from seeded_again import jointly
 from textbook import MISTAKES, TextbookEkf
 
 from ekfslam import Ekf
@@ -401,3 +402,10 @@ def test_the_report_as_a_table(astern):
 def test_what_cannot_be_found(estimator, scenarios, error):
     with pytest.raises(error):
         check(estimator, scenarios=scenarios)
+
+
+def test_a_filter_of_ranges_and_bearings_alone_is_asked_what_it_can_answer():
+    report = check(jointly())
+    assert {rung.scenario for rung in report.rungs} == {"cloister", "loop-15-rb"}
+    passed = {(rung.number, rung.scenario) for rung in report.rungs if rung.outcome == "pass"}
+    assert passed == {(n, s) for n in (2, 4, 5) for s in ("cloister", "loop-15-rb")}

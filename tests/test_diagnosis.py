@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import seeded
+import seeded_again
 from seeded import EXPECTED, MORE, TEN, Homework, homework
 from textbook import TextbookEkf
 
@@ -76,6 +77,19 @@ def test_a_seeded_mistake_is_named(key):
     assert tuple(m for f in found for m in f.mistakes) == EXPECTED.get(key, (key,))
     if not found[0].named:  # by its stage at least
         assert found[0].stage == {"half-turned-noise": "new landmark"}.get(key, "correction")
+
+
+def test_the_second_list_is_ten_and_its_filter_right_but_for_mounts():
+    assert len(seeded_again.TEN) == 10
+    (found,) = diagnose(seeded_again.jointly())
+    assert found.mistakes == ("no-mount",)
+
+
+@pytest.mark.parametrize(("key", "name"), [*seeded_again.TEN.items(), *seeded_again.MORE.items()])
+def test_a_mistake_of_the_second_list_is_named(key, name):
+    found = diagnose(seeded_again.jointly(key))
+    assert seeded_again.named(found) == name
+    assert seeded_again.row(key, found) in PAGE
 
 
 @pytest.mark.parametrize(

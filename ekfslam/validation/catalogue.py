@@ -117,6 +117,7 @@ CATALOGUE: tuple[Mistake, ...] = (
         "turns first and then moves along the new heading",
         "theta is updated before x and y, which then use the new one",
         MOVE,
+        (("turn-first",), ("turn-first", "jacobian-after", "q-rotated-after")),
     ),
     Mistake(
         "turn-in-degrees",
@@ -138,6 +139,12 @@ CATALOGUE: tuple[Mistake, ...] = (
         "has the wrong sign in the motion Jacobian: how the heading moves the position",
         "d cos = -sin was forgotten, or the increment was taken backwards",
         JACOBIAN,
+        (
+            ("motion-jacobian-sign",),
+            *((f"motion-jacobian-term-{k}",) for k in range(4)),
+            ("motion-jacobian-term-0", "motion-jacobian-term-1"),
+            ("motion-jacobian-term-2", "motion-jacobian-term-3"),
+        ),
     ),
     Mistake(
         "motion-jacobian-identity",
@@ -372,6 +379,13 @@ CATALOGUE: tuple[Mistake, ...] = (
         "the gain was cut to the rows of pose and landmark: what correlates is not corrected",
         GAIN,
         (("seen-only",), ("seen-only", "frozen-gain"), ("seen-only", "frozen-mean")),
+    ),
+    Mistake(
+        "blocks-only",
+        CORRECTION,
+        "corrects the blocks on the diagonal of the covariance and none between them",
+        "pose and landmarks were updated one by one: their cross-covariances stay as they were",
+        GAIN,
     ),
     Mistake(
         "covariance-kept",

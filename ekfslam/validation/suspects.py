@@ -168,6 +168,10 @@ class _Suspect:
         F[:2, 2] = geo.perpendicular(geo.rotation(heading) @ forward)
         if "motion-jacobian-sign" in wrong:
             F[:2, 2] *= -1
+        c, s = np.cos(heading), np.sin(heading)
+        for k, term in enumerate(np.array([-s, -c, c, -s]) * np.tile(forward, 2)):
+            if f"motion-jacobian-term-{k}" in wrong:
+                F[k // 2, 2] -= 2.0 * term
         if "motion-jacobian-identity" in wrong:
             F[:2, 2] = 0.0
         if "motion-jacobian-swapped" in wrong:
@@ -301,6 +305,9 @@ class _Suspect:
         step, P = K @ nu, self.P - K @ S @ K.T
         if "covariance-grows" in wrong:
             P = self.P + K @ S @ K.T
+        if "blocks-only" in wrong:
+            own = np.where(np.arange(n) < 3, 0, (np.arange(n) - 1) // 2)
+            P = np.where(own[:, None] == own, P, self.P)
         frozen, whole = self._frozen(rows), np.ones(n, dtype=bool)
         if "frozen-gain" in wrong:  # its rows are zero
             K[frozen] = 0.0
