@@ -5,6 +5,7 @@ Names are imported when they are first used, so that ``import ekfslam`` costs no
 
 from __future__ import annotations
 
+import logging
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from ekfslam.estimates import Estimate
 
 __version__ = "0.1.0"
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # who wants to hear adds another
 
 _HOMES = {
     "Campaign": "ekfslam.experiments",

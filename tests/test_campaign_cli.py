@@ -88,8 +88,7 @@ def test_files_are_there_when_nobody_reads_to_the_end(command, tmp_path, monkeyp
     (tmp_path / "out" / "summary.csv").unlink()
     monkeypatch.setattr("ekfslam.cli.campaigns.print_campaign", closed)
     words = {"campaign": ["mine.toml", "--out", "out"], "summary": ["out"]}[name]
-    with pytest.raises(BrokenPipeError):
-        command(name, *words, "--no-figures")
+    assert command(name, *words, "--no-figures").status == 141
     assert (tmp_path / "out" / "summary.csv").exists()
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
 import subprocess
 import sys
 from dataclasses import replace
+from importlib.metadata import version
 
 import numpy as np
 import pandas as pd
@@ -104,7 +106,11 @@ def test_units_survive_in_the_help(command):
 
 def test_version(command):
     shown = command("--version")
-    assert (shown.out, shown.status) == (f"ekfslam {ekfslam.__version__}\n", 0)
+    assert shown.status == 0
+    said = "Python {}, gtsam {}, numpy {}, scipy {}, numba {}".format(
+        platform.python_version(), *map(version, ("gtsam", "numpy", "scipy", "numba"))
+    )
+    assert shown.out == f"ekfslam {ekfslam.__version__} ({said})\n"
 
 
 def test_without_words_it_helps(command):

@@ -72,7 +72,7 @@ def test_failures_are_rows():
     broken = [Refusing(RuntimeError("no"), "broken"), Refusing(UnsupportedError("why"), "odd")]
     runs = sweep(orchard(5), [*broken, "dead-reckoning"], seeds=2)
     assert runs["status"].tolist() == ["failed", "skipped", "ok"] * 2
-    assert runs["message"][:2].tolist() == ["RuntimeError: no", "why"]
+    assert [text.partition(" (")[0] for text in runs["message"][:2]] == ["RuntimeError: no", "why"]
 
 
 def test_several_processes_give_the_same_table():

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
 from ekfslam.cli.campaigns import campaign, summary
 from ekfslam.cli.checking import check
 from ekfslam.cli.comparing import compare
+from ekfslam.cli.ending import ended
 from ekfslam.cli.lists import datasets, estimators
 from ekfslam.cli.report import report
 from ekfslam.cli.simulating import simulate
@@ -40,14 +41,20 @@ HELP = """Compare hand-written EKF-SLAM with GTSAM smoothers of the same landmar
   ekfslam study association                     [dim]who tells trees apart in noise[/dim]
 
   ekfslam campaign my.toml --out results/mine   [dim]many seeds; goes on if stopped[/dim]
+
+[bold]Exit status[/bold]
+
+  0 done; 1 a check failed, or with --strict an estimator; 2 a mistake in what was asked for,
+  3 an error of ekfslam itself; 130 Ctrl-C, 143 terminated, 141 the reader of a pipe went away.
 """
+
+PACKAGES = ("gtsam", "numpy", "scipy", "numba")
 
 app = typer.Typer(
     help=HELP,
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
-    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -58,40 +65,54 @@ app.add_typer(study, name="study")
 
 def main() -> None:
     """Run the command; a user's mistake is one line and exit status 2."""
-    from ekfslam.errors import EkfslamError
-
-    try:
-        status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
-    except EkfslamError as error:
-        _refuse(str(error))
-    except MemoryError as error:
-        _refuse(f"not enough memory: {error}")
-    except (KeyboardInterrupt, typer.Abort):
-        sys.exit(130)
-    except Exception as error:
-        if not hasattr(error, "format_message"):  # what the parser itself refuses has one
-            raise
-        _refuse(f"{error.format_message()} (ekfslam --help)")
-    sys.exit(status or 0)
-
-
-def _refuse(message: str) -> NoReturn:
-    print(f"ekfslam: {' '.join(message.split())}", file=sys.stderr)
-    sys.exit(2)
+    sys.exit(ended(lambda: app(sys.argv[1:] or ["--help"], standalone_mode=False)))
 
 
 def _version(wanted: bool) -> None:
     if wanted:
+        from importlib.metadata import PackageNotFoundError, version
+        from platform import python_version
+
         from ekfslam import __version__
 
-        print(f"ekfslam {__version__}")
+        told = [f"Python {python_version()}"]
+        for package in PACKAGES:
+            try:
+                told.append(f"{package} {version(package)}")
+            except PackageNotFoundError:
+                told.append(f"{package} not installed")
+        print(f"ekfslam {__version__} ({', '.join(told)})")
         raise typer.Exit
+
+
+def _log(times: int) -> None:
+    """Show on standard error what the library logs; given twice, with tracebacks."""
+    if times:
+        import logging
+
+        shown = logging.StreamHandler()
+        shown.setFormatter(logging.Formatter("%(relativeCreated)6.0f ms  %(name)s: %(message)s"))
+        logger = logging.getLogger("ekfslam")
+        logger.addHandler(shown)
+        logger.setLevel(logging.INFO if times == 1 else logging.DEBUG)
 
 
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Show the versions."),
     ] = False,
+    verbose: Annotated[
+        int,
+        typer.Option(
+            "--verbose",
+            "-v",
+            count=True,
+            callback=_log,
+            show_default=False,
+            help="Tell what is done; twice: with the traceback of what fails.",
+        ),
+    ] = 0,
 ) -> None:
     """Hold the options of the command itself."""

@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ekfslam.cli import completion
+from ekfslam.cli.options import Csv, Figures, Json, Workers
+from ekfslam.cli.output import check_output, print_csv, print_json, records, tell, told_files
 from ekfslam.cli.printing import print_campaign
 from ekfslam.cli.progress import progress
 
 if TYPE_CHECKING:
     from ekfslam.experiments import CampaignResults
 
-Figures = Annotated[bool, typer.Option(help="Whether to draw figures, too.")]
+Strict = Annotated[bool, typer.Option("--strict", help="Exit status 1 if any run has failed.")]
 
 
 def campaign(
-    file: Annotated[Path, typer.Argument(help="The campaign, a .toml file.")],
-    out: Annotated[Path, typer.Option(help="Folder of the results; what is there is not redone.")],
-    workers: Annotated[int, typer.Option(help="Processes; the results are the same.")] = 1,
+    file: Annotated[
+        Path,
+        typer.Argument(help="The campaign, a .toml file.", autocompletion=completion.files),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Folder of the results; what is there is not redone.",
+            autocompletion=completion.files,
+        ),
+    ],
+    workers: Workers = 1,
     scheduler: Annotated[
         str | None,
         typer.Option(help="Address of a Dask cluster to run on instead.", show_default=False),
@@ -33,6 +44,9 @@ def campaign(
         bool, typer.Option("--retry-failed", help="Run cells again that failed before.")
     ] = False,
     figures: Figures = True,
+    as_json: Json = False,
+    as_csv: Csv = False,
+    strict: Strict = False,
 ) -> None:
     """Scenarios × seeds × estimators: Parquet tables, statistics, CSVs and figures.
 
@@ -47,6 +61,7 @@ def campaign(
     """
     from ekfslam.experiments import run_campaign
 
+    check_output(as_json, as_csv)
     try:
         with progress() as watch:
             results = run_campaign(
@@ -57,35 +72,60 @@ def campaign(
                 seeds=seeds,
                 retry_failed=retry_failed,
                 watch=watch,
-                tell=_tell,
+                tell=tell,
             )
     except KeyboardInterrupt:
-        _tell("stopped; what was done stays, run it again to go on")
+        tell("stopped; what was done stays, run it again to go on")
         raise
-    _show(results, out, figures)
+    _show("campaign", results, figures, as_json, as_csv, strict)
 
 
-def _show(results: CampaignResults, folder: Path, figures: bool) -> None:
+def _show(
+    command: str,
+    results: CampaignResults,
+    figures: bool,
+    as_json: bool,
+    as_csv: bool,
+    strict: bool,
+) -> None:
     files = results.save(figures=figures)  # first: whoever reads the tables may close the pipe
-    print_campaign(results)
-    print(f"{len(files)} files in {folder}: {', '.join(path.name for path in files)}")
-
-
-def _tell(words: str) -> None:
-    print(words, file=sys.stderr)
+    if as_json:
+        print_json(
+            command,
+            cells=dict(zip(("done", "all"), results.cells, strict=True)),
+            summary=records(results.summary),
+            pairs=records(results.pairs),
+            config=results.config,
+            files=files,
+        )
+    elif as_csv:
+        print_csv(results.summary)
+        tell(told_files(files))
+    else:
+        print_campaign(results)
+        print(told_files(files))
+    if strict and (results.runs["status"] == "failed").any():
+        raise typer.Exit(1)
 
 
 def summary(
-    folder: Annotated[Path, typer.Argument(help="The folder of a campaign.")],
+    folder: Annotated[
+        Path, typer.Argument(help="The folder of a campaign.", autocompletion=completion.files)
+    ],
     figures: Figures = True,
+    as_json: Json = False,
+    as_csv: Csv = False,
+    strict: Strict = False,
 ) -> None:
     """Statistics and figures of a campaign, finished or not, from what is in its folder.
 
-    [bold]Example[/bold]
+    [bold]Examples[/bold]
 
       ekfslam summary results/loop-15
+
+      ekfslam summary results/loop-15 --no-figures --csv > summary.csv
     """
     from ekfslam.experiments import read_campaign
 
-    results = read_campaign(folder)
-    _show(results, folder, figures)
+    check_output(as_json, as_csv)
+    _show("summary", read_campaign(folder), figures, as_json, as_csv, strict)

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from ekfslam.cli import completion
+from ekfslam.cli.options import Data, Json
+from ekfslam.cli.output import print_json
 from ekfslam.cli.printing import print_list
 
 
 def datasets(
     name: Annotated[
         str | None,
-        typer.Argument(help="Of a recorded set: tell all about it.", show_default=False),
+        typer.Argument(
+            help="Of a recorded set: tell all about it.",
+            show_default=False,
+            autocompletion=completion.recorded,
+        ),
     ] = None,
-    data: Annotated[
-        Path | None,
-        typer.Option(help="Where the files of recorded sets lie.", show_default=False),
-    ] = None,
+    data: Data = None,
+    as_json: Json = False,
 ) -> None:
     """What there is to run on, and for recorded sets whether their files are here.
 
@@ -29,33 +33,88 @@ def datasets(
       ekfslam datasets
 
       ekfslam datasets mrclam1 --data recorded
-    """
-    from ekfslam.datasets import RECORDED, of_name
-    from ekfslam.simulation import describe_scenario, scenarios
 
+      ekfslam datasets --json | jq -r '.datasets[] | select(.here) | .name'
+    """
     if name is not None:
-        recorded, _ = of_name(name)
-        whole = name.partition("/")[0]
-        print_list(recorded.told(whole, recorded.given(whole, data)))
+        _about(name, data, as_json)
         return
-    rows = [(each, describe_scenario(each)) for each in scenarios()]
-    for each, recorded in RECORDED.items():
-        here = recorded.is_here(each, recorded.given(each, data))
-        missing = "" if here else f" [not here: ekfslam datasets {each}]"
-        rows.append((each, f"{recorded.description}{missing}"))
+    listed = [*_scenarios(), *_recorded(data)]
+    if as_json:
+        print_json("datasets", datasets=listed)
+        return
+    rows = []
+    for each in listed:
+        missing = "" if each["here"] else f" [not here: {each['missing']}]"
+        rows.append((each["name"], f"{each['description']}{missing}"))
     print_list(rows)
 
 
-def estimators() -> None:
-    """What there is to compare; packages join by the entry-point group `ekfslam.estimators`."""
-    from ekfslam import registry
+def _about(name: str, data: Any, as_json: bool) -> None:
+    """All about a recorded set."""
+    from ekfslam.datasets import of_name
+
+    recorded, _ = of_name(name)
+    whole = name.partition("/")[0]
+    path = recorded.given(whole, data)
+    told = recorded.told(whole, path)
+    if as_json:
+        about = {heading.replace(" ", "_"): text for heading, text in told}
+        here = recorded.is_here(name, path)
+        print_json("datasets", name=name, is_here=here, parts=recorded.parts, about=about)
+    else:
+        print_list(told)
+
+
+def _scenarios() -> list[dict[str, Any]]:
+    from ekfslam.simulation import describe_scenario, scenarios
 
     rows = []
+    for name in scenarios():
+        description, absent, why = describe_scenario(name).partition(" [not here: ")
+        row = {"name": name, "kind": "scenario", "description": description, "here": not absent}
+        rows.append(row | {"missing": why.removesuffix("]")})
+    return rows
+
+
+def _recorded(data: Any) -> list[dict[str, Any]]:
+    from ekfslam.datasets import RECORDED
+
+    rows = []
+    for name, recorded in RECORDED.items():
+        here = recorded.is_here(name, recorded.given(name, data))
+        row = {"name": name, "kind": "recorded", "description": recorded.description, "here": here}
+        rows.append(row | {"missing": "" if here else f"ekfslam datasets {name}"})
+    return rows
+
+
+def estimators(as_json: Json = False) -> None:
+    """What there is to compare; packages join by the entry-point group `ekfslam.estimators`.
+
+    [bold]Examples[/bold]
+
+      ekfslam estimators
+
+      ekfslam compare park --estimators "ekf, ekf-ri, gtsam-batch(initial=ekf-ri)"
+
+      ekfslam estimators --json
+    """
+    from ekfslam import registry
+
+    listed = []
     for name, point in registry.registered().items():
         try:
-            doc = (point.load().__doc__ or "").strip().partition("\n")[0]
-        except Exception as error:
-            doc = f"cannot be loaded: {error}"
-        joined = registry.origin(name)
-        rows.append((name, f"{doc} ({point.value}{f' of {joined}' if joined else ''})"))
+            doc, error = (point.load().__doc__ or "").strip().partition("\n")[0], ""
+        except Exception as failure:
+            doc, error = "", str(failure)
+        row = {"name": name, "description": doc, "place": point.value, "error": error}
+        listed.append(row | {"package": registry.origin(name)})
+    if as_json:
+        print_json("estimators", estimators=listed)
+        return
+    rows = []
+    for each in listed:
+        doc = f"cannot be loaded: {each['error']}" if each["error"] else each["description"]
+        joined = f" of {each['package']}" if each["package"] else ""
+        rows.append((each["name"], f"{doc} ({each['place']}{joined})"))
     print_list(rows)

@@ -34,21 +34,24 @@ if TYPE_CHECKING:
     from ekfslam.validation import Finding, Report
 
 
-def print_large(files: Iterable[Path], asked: bool) -> None:
-    """Which tables are Parquet since they are large, unless that was asked for."""
-    large = [path.name for path in files if path.suffix == ".parquet"]
-    if large and not asked:
-        print(f"too large for CSV, so Parquet: {', '.join(large)} (--tables csv, or --every N)")
+def large(files: Iterable[Path]) -> str:
+    """Which tables are Parquet."""
+    return ", ".join(path.name for path in files if path.suffix == ".parquet")
 
 
 def print_list(rows: list[tuple[str, str]]) -> None:
     """Names with what they are: in a pipe each on one line."""
+    if terminal_width() is None:
+        widest = max(len(name) for name, _ in rows)
+        for name, what in rows:
+            print(f"{name:<{widest}}  {what}")
+        return
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column()
     for row in rows:
         table.add_row(*map(escape, row))
-    console(terminal_width() or needed(table)).print(table)
+    console().print(table)
 
 
 def print_summary(summary: pd.DataFrame, notes: Mapping[str, Sequence[str]] | None = None) -> None:

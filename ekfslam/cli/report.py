@@ -7,12 +7,23 @@ from typing import Annotated
 
 import typer
 
+from ekfslam.cli import completion
+
 
 def report(
-    results: Annotated[Path, typer.Argument(help="Folder of a comparison or a campaign.")],
+    results: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder of a comparison or a campaign.", autocompletion=completion.files
+        ),
+    ],
     out: Annotated[
         Path | None,
-        typer.Option(help="The page; report.html in the folder by default.", show_default=False),
+        typer.Option(
+            help="The page; report.html in the folder by default.",
+            show_default=False,
+            autocompletion=completion.files,
+        ),
     ] = None,
 ) -> None:
     """One HTML page of a comparison or campaign: findings, maps, tables, figures, configuration.

@@ -7,12 +7,22 @@ from typing import Annotated
 
 import typer
 
+from ekfslam.cli import completion
 from ekfslam.cli.options import Seed
 
 
 def simulate(
-    scenario: Annotated[str, typer.Argument(help="A name, or a .toml file.")],
-    out: Annotated[Path, typer.Option(help="File (.npz), or a new folder for tables (CSV).")],
+    scenario: Annotated[
+        str,
+        typer.Argument(help="A name, or a .toml file.", autocompletion=completion.scenarios),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="File (.npz), or a new folder for tables (CSV).",
+            autocompletion=completion.files,
+        ),
+    ],
     seed: Seed = 0,
     noise: Annotated[float, typer.Option(help="Scale of all noise, stated and drawn.")] = 1.0,
     odometry_noise: Annotated[
@@ -20,15 +30,21 @@ def simulate(
     ] = 1.0,
     g2o: Annotated[
         Path | None,
-        typer.Option(help="Write it as a g2o graph, too.", show_default=False),
+        typer.Option(
+            help="Write it as a g2o graph, too.",
+            show_default=False,
+            autocompletion=completion.files,
+        ),
     ] = None,
 ) -> None:
     """Draw a dataset from a scenario into one file, or into a folder of CSV files.
 
-    [bold]Example[/bold]
+    [bold]Examples[/bold]
 
       ekfslam simulate park --seed 7 --out park-7.npz
+
       ekfslam simulate park --seed 7 --out park-7
+
       ekfslam simulate "city(world.count=5000, path.steps=10000)" --out city.npz
     """
     from ekfslam.datasets.table_files import write_tables

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from ekfslam.errors import InputError
-from ekfslam.experiments.attempts import Watch
+from ekfslam.experiments.attempts import Stopped, Watch
 from ekfslam.experiments.files import versions, write_together
 from ekfslam.experiments.study import NOISE, paired, summarised, sweep
 from ekfslam.simulation import Scenario, load_scenario
@@ -142,6 +142,8 @@ def association_study(
     ------
     UnknownNameError, InputError, FileFormatError
         As `sweep`; and for a method that there is not, or a scenario of several robots.
+    Stopped
+        As `sweep`, with the study of the draws that are finished.
     """
     scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     if len(scenario.robot_plans) > 1:
@@ -154,7 +156,11 @@ def association_study(
     }
     if len(estimators) < len(methods):
         raise InputError(f"a method is given twice in {', '.join(methods)}")
-    runs = sweep(scenario, list(estimators), scales, seeds, workers, watch)
+    stopped = None
+    try:
+        runs = sweep(scenario, list(estimators), scales, seeds, workers, watch)
+    except Stopped as stop:
+        runs, stopped = stop.found, stop
     runs["method"] = runs["estimator"].map(estimators)
     runs = runs[KEPT]
     summary = summarised(runs, ["dataset", NOISE, "method"], COLUMNS, MEDIANS)
@@ -169,7 +175,12 @@ def association_study(
         "within": within,
         "versions": versions(),
     }
+    if stopped:
+        config["draws_done"] = stopped.done
     compared = runs if both else runs.iloc[:0]
-    return AssociationStudy(
+    study = AssociationStudy(
         runs, summary, paired(compared, "method", *RIVALS, MEDIANS[0], "ate_m"), config
     )
+    if stopped:
+        raise Stopped(study, stopped.done, stopped.total) from stopped
+    return study

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from inspect import signature
@@ -13,8 +15,25 @@ from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import judged
 from ekfslam.registry import Estimator, estimator_name, resolve
 
+logger = logging.getLogger(__name__)
+
 Watch = Callable[[str, str, int, int], None]
 """Called with (dataset, estimator, steps done, steps in all) on long work."""
+
+
+class Stopped(KeyboardInterrupt):
+    """Work that was interrupted, with what had been found by then.
+
+    Attributes
+    ----------
+    found : Comparison or AssociationStudy
+    done, total : int
+        How many estimates, or draws, were made of how many.
+    """
+
+    def __init__(self, found: Any, done: int, total: int) -> None:
+        super().__init__(f"{done} of {total} were done; what they say is in .found")
+        self.found, self.done, self.total = found, done, total
 
 
 def named(estimators: Iterable[Any]) -> dict[str, Estimator]:
@@ -63,6 +82,7 @@ def attempt(
         def progress(done: int, total: int) -> None:
             watch(dataset.name, name, done, total)
 
+    begin = time.perf_counter()
     try:
         with blamed(subject):
             estimate = _call(subject, dataset, progress)
@@ -71,11 +91,16 @@ def attempt(
         titled = replace(estimate, estimator=name, dataset=dataset.name)
         estimate = judged(dataset, titled, alignment)
         tabulate(dataset, estimate)  # what cannot be tabulated is no estimate
+        seconds = time.perf_counter() - begin
+        logger.info("%s: %s: %s after %.3g s", dataset.name, name, estimate.status, seconds)
         return estimate
     except UnsupportedError as reason:
+        logger.info("%s: %s: skipped: %s", dataset.name, name, reason)
         return Estimate(name, dataset.name, status=SKIPPED, message=str(reason))
     except (Exception, SystemExit) as error:  # which would take a campaign with it
-        return Estimate(name, dataset.name, status=FAILED, message=in_words(error))
+        message, trace = in_words(error), logger.isEnabledFor(logging.DEBUG)
+        logger.warning("%s: %s: failed: %s", dataset.name, name, message, exc_info=trace)
+        return Estimate(name, dataset.name, status=FAILED, message=message)
 
 
 def _call(subject: Estimator, dataset: Dataset, progress: Any) -> Any:

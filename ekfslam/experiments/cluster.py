@@ -26,6 +26,8 @@ from ekfslam.registry import resolve
 if TYPE_CHECKING:
     from distributed import Client
 
+logger = logging.getLogger(__name__)
+
 Done = tuple[Unit, dict[str, bytes]]
 
 LIVES = 3  # workers that a unit may take with it before it is given up
@@ -180,6 +182,7 @@ def _finished(client: Client, units: Sequence[Unit]) -> Iterator[Done]:
             share = max(1, min(TOGETHER, int(LONG / each)))
         except KilledWorker:
             (unit, *others) = some
+            logger.warning("workers died, %d of them, at %s and %d more", LIVES, unit, len(others))
             if others:
                 suspects.extend(some)
             elif len(unit.estimators) > 1:

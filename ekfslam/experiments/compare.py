@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -16,14 +16,11 @@ from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import tables
 from ekfslam.evaluation.landmarks import MATCH_RADIUS
-from ekfslam.experiments.attempts import Watch, attempt, named
+from ekfslam.experiments.attempts import Stopped, Watch, attempt, named
 from ekfslam.experiments.comparison import Comparison
 from ekfslam.experiments.files import versions
 from ekfslam.experiments.sources import open_dataset
 from ekfslam.registry import Estimator
-
-if TYPE_CHECKING:
-    pass
 
 DATASETS = ("park", "victoria-park")
 ESTIMATORS = ("ekf", "gtsam-batch", "gtsam-isam2", "dead-reckoning")
@@ -76,6 +73,9 @@ def compare(
     ------
     UnknownNameError, InputError, FileFormatError
         For anything that cannot be found or read, before anything runs.
+    Stopped
+        For a `KeyboardInterrupt` once an estimate is finished: it is one, and has the comparison
+        as far as it came.
     """
     if alignment not in ("none", "se2"):
         raise UnknownNameError("alignment", alignment, ["none", "se2"])
@@ -93,24 +93,24 @@ def compare(
     opened = {dataset.name: dataset for dataset in sources}
     if len(opened) != len(sources):
         raise InputError("two datasets have the same name; the tables could not tell them apart")
-    parts: dict[str, list[pd.DataFrame]] = {name: [] for name in tables.SCHEMAS}
-    estimates: dict[tuple[str, str], Estimate] = {}
-    for dataset in opened.values():
-        # Increments and columns belong to the data: no estimator's clock counts them.
-        _ = dataset.moves, dataset.sightings, dataset.offsets
-        found = _run(
-            subjects,
-            dataset,
-            watch,
-            alignment=alignment,
-            rpe_distance=rpe_distance,
-            match_radius=match_radius,
-        )
-        for name, (estimate, made) in found.items():
-            estimates[dataset.name, name] = estimate
-            for table, rows in made.items():
-                parts[table].append(rows)
-    config = {
+    options = {"alignment": alignment, "rpe_distance": rpe_distance, "match_radius": match_radius}
+    found: dict[tuple[str, str], _Found] = {}
+    total = len(opened) * len(subjects)
+    stopped = None
+    try:
+        for dataset in opened.values():
+            # Increments and columns belong to the data: no estimator's clock counts them.
+            _ = dataset.moves, dataset.sightings, dataset.offsets
+            _run(subjects, dataset, watch, found, **options)
+    except KeyboardInterrupt as interrupt:
+        if not found:
+            raise
+        stopped = interrupt
+    order = [(dataset, name) for dataset in opened for name in subjects]
+    found = {cell: found[cell] for cell in order if cell in found}
+    estimates = {cell: each.estimate for cell, each in found.items()}
+    opened = {name: dataset for name, dataset in opened.items() if name in {d for d, _ in found}}
+    config: dict[str, Any] = {
         "datasets": {name: _described(dataset) for name, dataset in opened.items()},
         "estimators": {name: _options(estimates, name) for name in subjects},
         "seed": seed,
@@ -121,8 +121,23 @@ def compare(
         "path": None if path is None else str(path),
         "versions": versions(),
     }
-    stacked = {name: tables.concat(name, rows) for name, rows in parts.items()}
-    return Comparison(**stacked, datasets=opened, estimates=estimates, config=config)
+    if stopped:
+        config["unfinished"] = [list(cell) for cell in order if cell not in found]
+    stacked = {
+        table: tables.concat(table, [each.tables[table] for each in found.values()])
+        for table in tables.SCHEMAS
+    }
+    comparison = Comparison(**stacked, datasets=opened, estimates=estimates, config=config)
+    if stopped:
+        raise Stopped(comparison, len(found), total) from stopped
+    return comparison
+
+
+class _Found(NamedTuple):
+    """An estimate with its five tables."""
+
+    estimate: Estimate
+    tables: dict[str, pd.DataFrame]
 
 
 def _opened(source: Any, seed: int, path: str | Path | None) -> Dataset:
@@ -141,14 +156,18 @@ def _listed(value: Any) -> list[Any]:
 
 
 def _run(
-    subjects: Mapping[str, Estimator], dataset: Dataset, watch: Watch | None, **options: Any
-) -> dict[str, tuple[Estimate, dict[str, pd.DataFrame]]]:
-    """Estimates with their tables; first that of the reference, which all are held against."""
-    found: dict[str, tuple[Estimate, dict[str, pd.DataFrame]]] = {}
+    subjects: Mapping[str, Estimator],
+    dataset: Dataset,
+    watch: Watch | None,
+    found: dict[tuple[str, str], _Found],
+    **options: Any,
+) -> None:
+    """Add what is found; first that of the reference, which all are held against."""
     for name in sorted(subjects, key=lambda name: name != REFERENCE):
-        reference = found[REFERENCE][0] if REFERENCE in found else None
-        found[name] = _estimated(name, subjects[name], dataset, watch, reference, **options)
-    return {name: found[name] for name in subjects}
+        best = found.get((dataset.name, REFERENCE))
+        reference = best.estimate if best else None
+        made = _estimated(name, subjects[name], dataset, watch, reference, **options)
+        found[dataset.name, name] = made
 
 
 def _estimated(
@@ -159,7 +178,7 @@ def _estimated(
     reference: Estimate | None,
     alignment: str,
     **options: Any,
-) -> tuple[Estimate, dict[str, pd.DataFrame]]:
+) -> _Found:
     """An estimate with its tables, which are made once."""
     made: dict[str, pd.DataFrame] = {}
 
@@ -170,7 +189,7 @@ def _estimated(
     estimate = attempt(name, subject, dataset, tabulate, alignment, watch)
     if estimate.status in (FAILED, SKIPPED):
         tabulate(dataset, estimate)
-    return estimate, made
+    return _Found(estimate, made)
 
 
 def _tabulate(
@@ -208,7 +227,9 @@ def _described(dataset: Dataset) -> dict[str, Any]:
 
 
 def _options(estimates: Mapping[tuple[str, str], Estimate], name: str) -> dict[str, Any]:
-    options = next(e.options for (_, estimator), e in estimates.items() if estimator == name)
+    """Options of an estimator as JSON can hold them; none of one that has not run."""
+    of_it = (e.options for (_, estimator), e in estimates.items() if estimator == name)
+    options = next(of_it, {})
     return {key: value if _plain(value) else str(value) for key, value in options.items()}
 
 

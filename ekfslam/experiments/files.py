@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import platform
 import shutil
@@ -14,6 +15,8 @@ from pathlib import Path
 import pandas as pd
 
 from ekfslam.errors import InputError, UnknownNameError
+
+logger = logging.getLogger(__name__)
 
 SCRATCH = ".unfinished-"  # how folders are called whose files are on their way
 PACKAGES = ("ekfslam", "gtsam", "numpy", "scipy", "pandas", "numba", "matplotlib")
@@ -77,6 +80,7 @@ def write_together(folder: str | Path, write: Callable[[Path], None]) -> list[Pa
         for place in () if done else missing:
             with suppress(OSError):
                 place.rmdir()
+    logger.info("%d files in %s", len(written), folder)
     return [folder / path.name for path in written]
 
 

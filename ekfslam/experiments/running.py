@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ from ekfslam.experiments.store import FILE, SUPERSEDED, Identity, Store, identit
 from ekfslam.registry import origin
 
 Tell = Callable[[str], None]
+
+logger = logging.getLogger(__name__)
 
 
 def run_campaign(
@@ -59,7 +62,7 @@ def run_campaign(
     watch : callable, optional
         Told of progress: (scenario, seed, cells done, cells to do).
     tell : callable, optional
-        Told in words what is there already, and what of it cannot stay.
+        Told in words what is there already, and what of it cannot stay; logged by default.
 
     Returns
     -------
@@ -80,7 +83,7 @@ def run_campaign(
     check_folder(out)
     store = Store(out)
     with store.opened():
-        done = _settled(campaign, store, retry_failed, tell or (lambda words: None))
+        done = _settled(campaign, store, retry_failed, tell or logger.info)
         write_together(out, lambda place: _describe(campaign, place))
         units = campaign.units(done)
         total, count = sum(len(unit.estimators) for unit in units), 0

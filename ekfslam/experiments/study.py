@@ -7,6 +7,7 @@ estimators run, which columns count, and what is drawn.
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -21,7 +22,7 @@ from ekfslam.checks import checked_number
 from ekfslam.errors import InputError
 from ekfslam.estimates import DIVERGED, FAILED, SKIPPED
 from ekfslam.evaluation import tables
-from ekfslam.experiments.attempts import Watch, attempt, named
+from ekfslam.experiments.attempts import Stopped, Watch, attempt, named
 from ekfslam.registry import Estimator
 from ekfslam.simulation import Scenario, load_scenario, simulate
 
@@ -73,6 +74,8 @@ def sweep(
     ------
     UnknownNameError, InputError, FileFormatError
         For what cannot be found or makes no sense, before anything runs.
+    Stopped
+        For a `KeyboardInterrupt` once a draw is finished: it is one, and has the rows so far.
     """
     scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     for count, what in ((seeds, "seeds"), (workers, "workers")):
@@ -88,12 +91,17 @@ def sweep(
     rows = []
     if watch is not None:
         watch(scenario.name, "", 0, len(draws))
-    with mapped(workers, partial(_rows, subjects), draws) as results:
-        for draw, part in zip(draws, results, strict=True):
-            rows.append(part)
-            if watch is not None:
-                done = f"noise {draw.odometry_noise:g}, seed {draw.seed}"
-                watch(scenario.name, done, len(rows), len(draws))
+    try:
+        with mapped(workers, partial(_rows, subjects), draws) as results:
+            for draw, part in zip(draws, results, strict=True):
+                rows.append(part)
+                if watch is not None:
+                    done = f"noise {draw.odometry_noise:g}, seed {draw.seed}"
+                    watch(scenario.name, done, len(rows), len(draws))
+    except KeyboardInterrupt as stop:
+        if not rows:
+            raise
+        raise Stopped(pd.concat(rows, ignore_index=True), len(rows), len(draws)) from stop
     return pd.concat(rows, ignore_index=True)
 
 
@@ -114,7 +122,8 @@ def mapped(workers: int, task: Callable[[T], R], items: Sequence[T]) -> Iterator
     if workers == 1:
         yield map(task, items)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    quiet = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that the workers are of
+    with ProcessPoolExecutor(workers, get_context("spawn"), signal.signal, quiet) as pool:
         try:
             yield pool.map(task, items)
         except BaseException:
