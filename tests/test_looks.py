@@ -5,21 +5,24 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
+import pytest
 from matplotlib.colors import to_rgb
 from numpy.testing import assert_allclose
 
 from ekfslam import plots
-from ekfslam.plots.style import LOOKS, METHODS
+from ekfslam.plots.style import LOOKS, METHODS, TRUTH
+from ekfslam.plots.vision import _seen, apart
 
 
 def test_looks_differ_and_do_not_depend_on_the_process():
     assert len({look.color for look in LOOKS.values()}) == len(LOOKS)
     assert len({look.marker for look in LOOKS.values()}) == len(LOOKS)
     # Python's own hash of a string changes from one process to the next.
-    assert plots.look("fastslam") == ("#117733", "H", ":")
-    assert plots.look("fej-ekf") == ("#997700", ">", "--")
-    taken = {look.color for look in LOOKS.values()}
-    assert not {plots.look(f"filter-{k}").color for k in range(50)} & taken
+    assert plots.look("fastslam") == ("#CCBB66", (4, 1, 0), "-")
+    assert plots.look("fej-ekf") == ("#CCBB66", (4, 1, 45), ":")
+    for taken in ("color", "marker"):
+        ours = {getattr(look, taken) for look in LOOKS.values()}
+        assert not {getattr(plots.look(f"filter-{k}"), taken) for k in range(50)} & ours
 
 
 # What is left of linear RGB without the red or the green cones (Machado et al. 2009, severity 1).
@@ -54,13 +57,65 @@ def lab(color, vision):
     return np.array([116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz)])
 
 
+def distance(one, other):
+    """For the eyes that see the least of it."""
+    return min(np.linalg.norm(lab(one, vision) - lab(other, vision)) for vision in VISIONS)
+
+
+# Figures that people look at: the default comparison, the family in a campaign, recorded sets.
+TOGETHER = [
+    "ekf gtsam-batch gtsam-isam2 gtsam-fixed-lag dead-reckoning",
+    "ekf iekf ekf-ideal ekf-fej ekf-oc ekf-ri ekf-robocentric gtsam-batch",
+    "dead-reckoning ekf ekf-ri gtsam-batch gtsam-isam2 fastslam1 fastslam2 ekf-localization",
+    "ekf ekf-compressed gtsam-isam2",
+]
+
+
 def test_the_colour_blind_tell_the_estimators_apart():
-    """By colour or, where colours are near to one another for somebody, by the line."""
     assert_allclose(lab("#ffffff", np.eye(3)), [100, 0, 0], atol=1e-6)
     for one, other in combinations(LOOKS.values(), 2):
-        for vision in VISIONS:
-            distance = np.linalg.norm(lab(one.color, vision) - lab(other.color, vision))
-            assert distance > 20 or one.linestyle != other.linestyle
+        assert distance(one.color, other.color) > 13
+    for names in TOGETHER:
+        for one, other in combinations(names.split(), 2):
+            if {one, other} != {"ekf", "ekf-compressed"}:  # two ways to compute the same numbers
+                assert distance(LOOKS[one].color, LOOKS[other].color) > 18
+    for look in LOOKS.values():  # a thin line on paper, and beside the truth
+        assert distance(look.color, "#ffffff") > 25
+        assert distance(look.color, TRUTH) > 20
+
+
+def test_distances_of_colours_are_those_of_cie():
+    """Of two implementations, and for normal eyes of known L*a*b* of the primaries."""
+    for one, other in combinations(LOOKS.values(), 2):
+        assert_allclose(apart(one.color, other.color), distance(one.color, other.color), atol=0.05)
+    assert_allclose(_seen("#ff0000")[0], [53.24, 80.09, 67.20], atol=0.05)
+    assert_allclose(_seen("#0000ff")[0], [32.30, 79.19, -107.86], atol=0.05)
+    assert apart("#000000", "#ffffff") == pytest.approx(100, abs=0.01)
+    red, green = _seen("#b3553c"), _seen("#6e6e3c")  # deuteranopes confuse them
+    assert np.linalg.norm(red[0] - green[0]) > 40
+    assert np.linalg.norm(red[2] - green[2]) < 12
+
+
+COMPARED = ["ekf", "gtsam-batch", "gtsam-isam2", "dead-reckoning"]
+
+
+@pytest.mark.parametrize("name", ["MyFilter", "mymodule:MyFilter", "ekf(update=sequential)", "x"])
+def test_a_filter_of_a_user_is_told_from_those_that_it_is_compared_with(name):
+    found = plots.looks([*COMPARED, name])
+    assert {other: found[other] for other in COMPARED} == {n: LOOKS[n] for n in COMPARED}
+    for other in COMPARED:
+        assert distance(found[name].color, LOOKS[other].color) > 18
+        assert found[name].marker != LOOKS[other].marker
+    assert found[name] == plots.look(name)  # the same in any of these figures
+    assert plots.looks([name, *reversed(COMPARED)]) == found
+
+
+def test_several_filters_of_users_are_told_from_one_another():
+    mine = [f"filter-{k}" for k in range(4)]
+    found = plots.looks([*COMPARED, *mine])
+    for one, other in combinations(found.values(), 2):
+        assert distance(one.color, other.color) > 18
+        assert one.marker != other.marker
 
 
 def test_a_filter_of_the_family_is_no_method_of_association():

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from IPython.core.formatters import PNGFormatter
 from matplotlib import pyplot
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
 from numpy.testing import assert_allclose, assert_array_equal
@@ -135,7 +136,7 @@ def column(figure, estimator, series):
 
 
 def legend(figure):
-    return [text.get_text() for text in figure.legends[0].get_texts()]
+    return [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()]
 
 
 # The map ---------------------------------------------------------------------------------------
@@ -462,9 +463,56 @@ def test_a_missing_column_is_an_input_error(run, name):
 
 def test_a_run_without_a_seed_has_a_title_without_one(run):
     recorded = [table.assign(seed=pd.NA) for table in run]
-    assert plots.plot_times(run[0]).get_suptitle() == "ring, seed 3"
-    assert plots.plot_times(recorded[0]).get_suptitle() == "ring"
+    assert plots.plot_times(run[0]).get_suptitle() == "ring, seed 3: time of each step"
+    assert plots.plot_times(recorded[0]).get_suptitle() == "ring: time of each step"
     assert plots.plot_map(*recorded).get_suptitle() == "ring: map with 3σ ellipses"
+
+
+def test_a_lost_filter_does_not_squash_the_nees_of_the_others(run):
+    lost = of(run[0], "ekf").assign(estimator="lost", nees=10.0 ** np.linspace(0, 24, STEPS))
+    figure = plots.plot_consistency(pd.concat([run[0], lost]))
+    panel = figure.axes[0]
+    assert panel.get_ylim()[1] < 1e3
+    assert [text.get_text() for text in panel.texts] == ["lost: leaves the frame"]
+    assert max(points(line(panel, "lost"))[:, 1]) < 1e5  # a vector file would carry them along
+    (only,) = [a for a in plots.plot_consistency(lost).axes if "NEES" in a.get_title()]
+    assert only.get_ylim()[1] > 1e24  # what is typical here
+    assert not only.texts
+
+
+def test_many_series_go_on_in_blocks_below(run):
+    """All on one page, each with its three panels, on the scales of the whole figure."""
+    many = [of(run[0], "ekf").assign(estimator=f"filter-{k}") for k in range(9)]
+    figure = plots.plot_errors(pd.concat(many))
+    assert figure.get_figwidth() == plots.PAGE
+    shown = [axes for axes in figure.axes if axes.axison]
+    assert len(shown) == 27
+    assert len({axes.get_ylim() for axes in shown}) == 3
+    titles = [axes.get_title() for axes in shown if axes.get_title()]
+    assert titles == [f"filter-{k}\nonline" for k in range(9)]
+    labelled = [axes for axes in shown if axes.get_xlabel()]
+    assert len(labelled) == 9
+    assert all(axes.get_xticklabels()[0].get_visible() for axes in labelled)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_figure_fits_the_width_that_is_asked_for(run, name):
+    """Also that of one column: its text keeps its size and stays inside."""
+    plot = getattr(plots, f"plot_{name}")
+    figure = plot(*(run if name == "map" else run[:1]), width=3.3)
+    assert figure.get_figwidth() == 3.3
+    FigureCanvasAgg(figure).draw()
+    width, height = figure.bbox.size
+    words = [figure._suptitle, *figure.legends, *(axes.xaxis.label for axes in figure.axes)]
+    words += [axes.title for axes in figure.axes]
+    for box in (each.get_window_extent() for each in words):
+        assert -1 <= box.x0 <= box.x1 <= width + 1
+        assert -1 <= box.y0 <= box.y1 <= height + 1
+
+
+def test_the_title_says_of_whom_there_is_nothing_to_show(run):
+    figure = plots.plot_map(*run, absent=["mine (failed)"])
+    assert figure.get_suptitle().endswith("\nnothing to show of mine (failed)")
 
 
 # Several robots --------------------------------------------------------------------------------

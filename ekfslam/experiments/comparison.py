@@ -15,7 +15,7 @@ import pandas as pd
 
 from ekfslam.dataset import Dataset
 from ekfslam.errors import UnknownNameError
-from ekfslam.estimates import Estimate
+from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import tables
 from ekfslam.experiments.attempts import Watch
 from ekfslam.experiments.files import check_form, write_table, write_together
@@ -62,20 +62,29 @@ class Comparison:
     estimates: Mapping[tuple[str, str], Estimate]
     config: Mapping[str, Any]
 
-    def plot_map(self, dataset: str | None = None) -> Figure:
+    def plot_map(self, dataset: str | None = None, **options: Any) -> Figure:
         """Map with trajectories, landmarks and 3-sigma ellipses.
 
         Parameters
         ----------
         dataset : str, optional
             Name; the first one by default.
+        **options
+            Of `ekfslam.plots.plot_map`, such as the `width` of the figure [in].
         """
         from ekfslam.plots import plot_map
 
         name = self._name(dataset)
-        return plot_map(self._of(self.trajectories, name), self._of(self.landmarks, name))
+        status = self._of(self.summary, name).set_index("estimator")["status"]
+        absent = [f"{who} ({why})" for who, why in status.items() if why in (FAILED, SKIPPED)]
+        options = {"absent": absent} | options
+        return plot_map(
+            self._of(self.trajectories, name), self._of(self.landmarks, name), **options
+        )
 
-    def plot_errors(self, dataset: str | None = None, robot: str | None = None) -> Figure:
+    def plot_errors(
+        self, dataset: str | None = None, robot: str | None = None, **options: Any
+    ) -> Figure:
         """Error against time with the estimator's own 3-sigma band.
 
         Parameters
@@ -84,30 +93,36 @@ class Comparison:
             Name; the first one by default.
         robot : str, optional
             Name, where there are several; the first one by default.
+        **options
+            Of `ekfslam.plots.plot_errors`.
         """
         from ekfslam.plots import plot_errors
 
-        return plot_errors(self._of(self.trajectories, self._name(dataset)), robot)
+        return plot_errors(self._of(self.trajectories, self._name(dataset)), robot, **options)
 
-    def plot_consistency(self, dataset: str | None = None, robot: str | None = None) -> Figure:
+    def plot_consistency(
+        self, dataset: str | None = None, robot: str | None = None, **options: Any
+    ) -> Figure:
         """NEES and NIS against their chi-square intervals.
 
         Parameters
         ----------
         dataset, robot : str, optional
             As for `plot_errors`.
+        **options
+            Of `ekfslam.plots.plot_consistency`.
         """
         from ekfslam.plots import plot_consistency
 
         name = self._name(dataset)
         notes = self.datasets[name].notes
-        return plot_consistency(self._of(self.trajectories, name), robot, notes)
+        return plot_consistency(self._of(self.trajectories, name), robot, notes, **options)
 
-    def plot_times(self, dataset: str | None = None) -> Figure:
-        """Time per step."""
+    def plot_times(self, dataset: str | None = None, **options: Any) -> Figure:
+        """Time per step; options are those of `ekfslam.plots.plot_times`."""
         from ekfslam.plots import plot_times
 
-        return plot_times(self._of(self.trajectories, self._name(dataset)))
+        return plot_times(self._of(self.trajectories, self._name(dataset)), **options)
 
     def save(
         self,

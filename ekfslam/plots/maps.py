@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,10 +23,11 @@ from ekfslam.plots.rows import (
     series_of,
     typical,
 )
-from ekfslam.plots.style import PAGE, TRUTH, drawing, legend_columns
+from ekfslam.plots.style import PAGE, TRUTH, Key, add_key, drawing, titled
 from ekfslam.plots.thinning import MOST_ELLIPSES, largest, many
 
 SIGMAS = 3.0
+_TRUE = ("truth", "true landmark", "start", "end")
 _ROOM = 1.25  # an estimate is in full view if it makes the map larger by no more than this
 
 
@@ -41,7 +43,11 @@ class _Content(NamedTuple):
 
 
 def plot_map(
-    trajectories: pd.DataFrame, landmarks: pd.DataFrame, known: ArrayLike | None = None
+    trajectories: pd.DataFrame,
+    landmarks: pd.DataFrame,
+    known: ArrayLike | None = None,
+    absent: Iterable[str] = (),
+    width: float = PAGE,
 ) -> Figure:
     """Map of a run: true and estimated paths, landmarks with 3-sigma ellipses.
 
@@ -58,6 +64,10 @@ def plot_map(
         Rows of one dataset and seed.
     known : (L, 2) array_like, optional
         True landmarks [m]; by default those in the table.
+    absent : iterable of str
+        Estimators of which there is nothing to show, which the title says.
+    width : float
+        Of the figure [in]: a page's by default, `ekfslam.plots.COLUMN` for one column of a paper.
 
     Returns
     -------
@@ -75,9 +85,11 @@ def plot_map(
     true_map = _true_map(landmarks) if known is None else np.asarray(known, float).reshape(-1, 2)
     truth = _finite(np.concatenate([*true_paths, true_map]))
     low, high = _frame(truth, contents)
-    columns = legend_columns([content.series.label for content in contents], most=3)
-    rows = -(-(len(contents) + 4) // columns)  # the truth, its landmarks, start and end
-    with drawing(PAGE, _height(high - low, rows)) as figure:
+    heading = titled(width, _heading(title, contents), _absent(absent))
+    extent = high - low
+    key = Key.of([*(c.series.label for c in contents), *_TRUE], width, most=3)
+    height = _height(extent, width) + key.height + 0.5 + 0.15 * heading.count("\n")
+    with drawing(width, height) as figure:
         axes = figure.add_subplot(aspect="equal", xlabel="x [m]", ylabel="y [m]")
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         for content in contents:
@@ -85,8 +97,9 @@ def plot_map(
         _draw_truth(axes, true_paths, true_map)
         ends = [(path, c.series.look.color) for c in contents for path in c.paths]
         _draw_ends(axes, ends + [(path, TRUTH) for path in true_paths])
-        figure.suptitle(_heading(title, contents))
-        figure.legend(loc="outside lower center", ncols=columns)
+        figure.suptitle(heading)
+        handles, labels = axes.get_legend_handles_labels()
+        add_key(figure, dict(zip(labels, handles, strict=True)), most=3)
     return figure
 
 
@@ -96,6 +109,11 @@ def _heading(title: str, contents: list[_Content]) -> str:
     crowded = any(content.crowded for content in contents)
     which = f" (the {MOST_ELLIPSES} largest of an estimator)" if crowded else ""
     return f"{title}: map with 3σ ellipses{which}"
+
+
+def _absent(names: Iterable[str]) -> str:
+    listed = ", ".join(names)
+    return f"nothing to show of {listed}" if listed else ""
 
 
 # What there is to show --------------------------------------------------------------------------
@@ -173,10 +191,15 @@ def _diagonal(points: Array) -> float:
     return float(np.hypot(*np.ptp(points, axis=0)))
 
 
-def _height(extent: Array, rows: int) -> float:
-    """Height of a figure of full width whose axes have this extent, legend included [in]."""
-    beside, below = 0.5, 0.75 + 0.15 * max(rows, 3)
-    return float(np.clip((PAGE - beside) * extent[1] / extent[0], 2.0, PAGE)) + below
+def _height(extent: Array, width: float) -> float:
+    """Height of axes of this extent in a figure of some width, without what is around them [in]."""
+    beside = 0.5
+    return float(np.clip((width - beside) * extent[1] / extent[0], 0.3 * width, width))
+
+
+def _size(count: int, alone: float) -> float:
+    """Of the marks of so many landmarks, of which a few have one size: they hide less when many."""
+    return alone * (1.0 if count <= 200 else 0.7 if count <= MOST_ELLIPSES else 0.5)
 
 
 # Artists ----------------------------------------------------------------------------------------
@@ -193,9 +216,9 @@ def _draw(axes: Axes, content: _Content, frame: tuple[Array, Array]) -> None:
         color=color,
         marker=marker,
         linestyle="none",
-        markersize=1.5 if content.crowded else 3,
+        markersize=_size(len(content.landmarks), 3.0),
         markerfacecolor="none",
-        markeredgewidth=0.3 if content.crowded else 0.7,
+        markeredgewidth=_size(len(content.landmarks), 0.7),
         zorder=4,
     )
     contours = geo.ellipse(content.means, content.covariances, SIGMAS)
@@ -226,8 +249,8 @@ def _draw_truth(axes: Axes, paths: list[Array], landmarks: Array) -> None:
             color=TRUTH,
             marker="+",
             linestyle="none",
-            markersize=2.5 if len(landmarks) > MOST_ELLIPSES else 5,
-            markeredgewidth=0.3 if len(landmarks) > MOST_ELLIPSES else 0.7,
+            markersize=_size(len(landmarks), 5.0),
+            markeredgewidth=_size(len(landmarks), 0.7),
             label="true landmark",
             zorder=5,
         )

@@ -17,7 +17,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ekfslam.geometry import Array
 from ekfslam.plots.rows import numbers
-from ekfslam.plots.style import PAGE, QUIET, Look, drawing, legend_columns
+from ekfslam.plots.style import PAGE, QUIET, Look, add_key, drawing
 
 BAND: dict[str, Any] = {"color": QUIET, "alpha": 0.35, "linewidth": 0.0}
 LARGEST = 1e6
@@ -113,14 +113,7 @@ def add_legend(
     for name in (name for name in found if name in shown):
         look: dict[str, Any] = found[name]._asdict()
         handles[name] = Line2D([], [], markersize=3.5, linewidth=0.9, **look)
-    handles |= others or {}
-    figure.legend(
-        list(handles.values()),
-        list(handles),
-        loc="outside lower center",
-        ncols=legend_columns(handles, most=5),
-        handlelength=2.6,  # a whole dash-dot pattern
-    )
+    add_key(figure, handles | dict(others or {}), most=5, handlelength=2.6)  # a whole dash-dot
 
 
 def scale(axes: Axes, values: Array, inside: tuple[float, float], most: float) -> None:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ekfslam.plots.rows import numbers
-from ekfslam.plots.style import METHODS, PAGE, TRUTH, drawing, legend_columns, look
+from ekfslam.plots.style import METHODS, PAGE, TRUTH, add_key, drawing, look
 
 _DODGE = 0.5  # share of the distance of two scales that the methods spread over
 
@@ -73,10 +73,9 @@ def plot_study(summary: pd.DataFrame, title: str = "") -> Figure:
             axis.set_xlabel("scale of the odometry noise")
         figure.suptitle(title)
         handles, labels = axes[-1, -1].get_legend_handles_labels()
-        handles, labels = handles[1:] + handles[:1], labels[1:] + labels[:1]  # methods first
-        figure.legend(
-            handles, labels, loc="outside lower center", ncols=legend_columns(labels, most=5)
-        )
+        named = dict(zip(labels, handles, strict=True))
+        named[labels[0]] = named.pop(labels[0])  # methods first
+        add_key(figure, named, most=5)
     return figure
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple
 import matplotlib
 from matplotlib.figure import Figure
 
+from ekfslam.plots.vision import apart
 from ekfslam.storage import atomic_write
 
 COLUMN = 3.5
@@ -23,6 +25,8 @@ PAGE = 7.16
 
 TRUTH = "#000000"
 QUIET = "#7f7f7f"  # zero lines and intervals
+
+_LABEL = 32  # letters of a line in a legend
 
 _SETTINGS: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -52,34 +56,34 @@ class Look(NamedTuple):
     """How an estimator is drawn, in every figure."""
 
     color: str
-    marker: str
+    marker: Any
     linestyle: str
 
 
-# Colours that the colour-blind tell apart (Okabe and Ito 2008); their black is for the truth and
-# their yellow too faint on white. The estimators are more than there are such colours: the others
-# are of Tol's muted scheme (2021), and those that come close to one another differ in the line.
+# The first colours are those that the colour-blind tell apart of Okabe and Ito (2008); their black
+# is for the truth and their yellow too faint on white. The estimators are more than there are such
+# colours: the others are placed so that any two are as far apart as so many can be for all eyes,
+# and farther where they are compared with one another (`ekfslam.plots.vision`).
 _BLUE, _GREEN, _ORANGE = "#0072B2", "#009E73", "#E69F00"
 _VERMILLION, _PURPLE, _SKY = "#D55E00", "#CC79A7", "#56B4E9"
-_WINE, _INDIGO, _OLIVE = "#882255", "#332288", "#999933"
 
 LOOKS: Mapping[str, Look] = {
     "ekf": Look(_BLUE, "o", "-"),
-    "ekf-compressed": Look("#004488", "8", ":"),
+    "ekf-compressed": Look("#004E99", "8", ":"),
     "iekf": Look(_SKY, "h", "--"),
-    "ekf-ideal": Look("#595959", "*", ":"),
-    "ekf-fej": Look(_PURPLE, "v", "-."),
-    "ekf-oc": Look(_WINE, "D", "--"),
+    "ekf-ideal": Look("#6A6D79", "*", ":"),
+    "ekf-fej": Look("#EE99A3", "v", "-."),
+    "ekf-oc": Look("#7C1245", "D", "--"),
     "ekf-ri": Look(_VERMILLION, "P", "-"),
-    "ekf-robocentric": Look(_OLIVE, "X", ":"),
+    "ekf-robocentric": Look("#6C7B3E", "X", ":"),
     "gtsam-batch": Look(_GREEN, "s", "--"),
     "gtsam-isam2": Look(_ORANGE, "^", "-."),
-    "gtsam-fixed-lag": Look(_INDIGO, "<", "-."),
-    "fastslam1": Look("#1A85FF", ">", "--"),
+    "gtsam-fixed-lag": Look("#301C88", "<", "-."),
+    "fastslam1": Look("#1785FF", ">", "--"),
     "fastslam2": Look("#661100", "d", "-"),
-    "ekf-localization": Look("#CC6677", "p", "-"),
-    "gtsam-localization": Look("#AA4499", "H", "--"),
-    "dead-reckoning": Look("#999999", "x", ":"),
+    "ekf-localization": Look("#943740", "p", "-"),
+    "gtsam-localization": Look("#5944BE", "H", "--"),
+    "dead-reckoning": Look("#8D98B4", "x", ":"),
 }
 """Estimators that come with the package."""
 
@@ -97,12 +101,15 @@ METHODS: Mapping[str, Look] = {
 """The EKF by method of association, as in ``ekf-joint`` or ``ekf(association=joint, confirm=3)``;
 a method that is a form of another one shares its colour."""
 
+# For estimators of others, and for ours with options: colours and markers that none of ours has.
 _OTHERS = tuple(
     Look(color, marker, linestyle)
     for (marker, linestyle), color in product(
-        [("d", "-"), (">", "--"), ("p", "-."), ("H", ":")], ["#117733", "#6699CC", "#997700"]
+        [((4, 1, 0), "-"), ((3, 1, 0), "--"), ((8, 1, 0), "-."), ((4, 1, 45), ":")],
+        ["#E105FB", "#CCBB66", "#9D2B15", "#6C1923"],
     )
 )
+_CLOSE = 18.0  # distance of colours below which another is looked for
 
 
 # Options that say how much is computed, not how.
@@ -120,35 +127,81 @@ def look(estimator: str) -> Look:
         its own that depends on the name alone. Options that only say what is recovered, or which
         seed is drawn from, do not count.
     """
+    return _choices(estimator)[0]
+
+
+def _choices(estimator: str) -> list[Look]:
+    """Looks that an estimator can have: its own, and those to go over to."""
     estimator = _SAME.sub("", estimator).replace(", )", ")").replace("()", "")
+    if estimator in LOOKS:
+        return [LOOKS[estimator]]
     method = _METHOD.fullmatch(estimator)
-    known = LOOKS.get(estimator) or (METHODS.get(method[1] or method[2]) if method else None)
-    return known or _OTHERS[zlib.crc32(estimator.encode()) % len(_OTHERS)]
+    own = METHODS.get(method[1] or method[2]) if method else None
+    start = zlib.crc32(estimator.encode()) % len(_OTHERS)
+    others = [*_OTHERS[start:], *_OTHERS[:start]]
+    return others if own is None else [own, *others]
 
 
 def looks(estimators: Iterable[str]) -> dict[str, Look]:
-    """Looks of estimators that share a figure: no two of one colour, while there are enough.
+    """Looks of estimators that share a figure: none close to another, while there are enough.
 
     Parameters
     ----------
     estimators : iterable of str
-        Names, also several times. Those of `LOOKS` always have their own look; where others share
-        a colour, the first one keeps it.
+        Names, also several times. Those of `LOOKS` always have their own look; where others come
+        close to it or to one another in colour, or share a marker, the first one keeps it.
     """
     found: dict[str, Look] = {}
     for name in sorted(dict.fromkeys(estimators), key=lambda name: name not in LOOKS):
-        choices = [look(name), *_OTHERS]
-        taken = {own.color for own in found.values()}
-        free = [c for c in choices if c.color not in taken]
-        found[name] = (free or [c for c in choices if c not in found.values()] or choices)[0]
+        taken = list(found.values())
+        found[name] = min(_choices(name), key=lambda choice: _clash(choice, taken))
     return found
 
 
-def legend_columns(labels: Iterable[str], most: int) -> int:
-    """How many labels fit beside each other below a figure of full width."""
-    letter, handle = 0.06, 0.55  # of the legend's font, and of what stands before a label [in]
-    longest = max(map(len, labels), default=0)
-    return max(1, min(most, int(PAGE / (letter * longest + handle))))
+def _clash(choice: Look, taken: list[Look]) -> tuple[float, bool, bool]:
+    """How much a look is like those that are taken."""
+    nearest = min((apart(choice.color, own.color) for own in taken), default=_CLOSE)
+    return (
+        max(0.0, _CLOSE - nearest),
+        choice.marker in [own.marker for own in taken],
+        choice in taken,
+    )
+
+
+class Key(NamedTuple):
+    """How a legend below a figure of some width is laid out: its labels in lines, and columns."""
+
+    labels: list[str]
+    columns: int
+
+    @classmethod
+    def of(cls, labels: Iterable[str], width: float, most: int) -> Key:
+        """Labels that are long become several lines, so that more of them fit side by side."""
+        lines = [textwrap.fill(each, _LABEL, break_long_words=False) for each in labels]
+        letter, handle = 0.06, 0.55  # of the legend's font, and of what stands before a label [in]
+        longest = max((len(line) for each in lines for line in each.split("\n")), default=0)
+        return cls(lines, max(1, min(most, int(width / (letter * longest + handle)))))
+
+    @property
+    def height(self) -> float:
+        """How much of the figure it takes [in]."""
+        rows = -(-len(self.labels) // self.columns) or 1
+        columns = [self.labels[i : i + rows] for i in range(0, len(self.labels), rows)]
+        lines = [sum(1 + each.count("\n") for each in column) for column in columns]
+        return 0.2 + 0.15 * max(lines, default=0)
+
+
+def add_key(figure: Figure, handles: Mapping[str, Any], most: int, **options: Any) -> None:
+    """One legend below all panels of a figure, of at most so many columns."""
+    key = Key.of(handles, figure.get_figwidth(), most)
+    options |= {"loc": "outside lower center", "ncols": key.columns}
+    figure.legend(list(handles.values()), key.labels, **options)
+
+
+def titled(width: float, *paragraphs: str) -> str:
+    """The title of a figure of some width, in lines that fit."""
+    letters = int(14.6 * width)
+    return "\n".join(textwrap.fill(each, letters) for each in paragraphs if each)
 
 
 @contextmanager
