@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ekfslam.cli.animate import animate
 from ekfslam.cli.campaigns import campaign, summary
 from ekfslam.cli.checking import check
 from ekfslam.cli.comparing import compare
@@ -58,7 +59,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for command in (compare, check, simulate, datasets, estimators, campaign, summary, report):
+for command in (compare, check, simulate, datasets, estimators, campaign, summary, report, animate):
     app.command()(command)
 app.add_typer(study, name="study")
 

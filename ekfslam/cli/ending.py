@@ -52,7 +52,7 @@ def _told(error: Exception) -> int:
     if isinstance(error, MemoryError):
         return refused(f"not enough memory: {error}")
     if isinstance(error, OSError):
-        return refused(f"{error.filename or 'standard output'}: {error.strerror or error}")
+        return _unwritten(error)
     if hasattr(error, "format_message"):  # what the parser itself refuses
         return refused(f"{error.format_message()} (ekfslam --help)")
     traceback.print_exception(error)
@@ -64,6 +64,12 @@ def refused(message: str) -> int:
     """Say in one line what the user can mend."""
     print(f"ekfslam: {' '.join(message.split())}", file=sys.stderr)
     return MISTAKE
+
+
+def _unwritten(error: OSError) -> int:
+    """Say what the system refuses; of standard output it does not say the name."""
+    where = error.filename or "cannot write to standard output"
+    return refused(f"{where}: {error.strerror or error}")
 
 
 @contextmanager
@@ -89,7 +95,7 @@ def _flushed(status: int) -> int:
     except BrokenPipeError:
         status = CLOSED
     except OSError as error:
-        status = refused(f"cannot write to standard output: {error.strerror or error}")
+        status = status if status == MISTAKE else _unwritten(error)  # once is enough
     else:
         return status
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at exit
