@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench reference bars rates study campaigns clean
+.PHONY: demo test docs bench reference bars rates study campaigns clean
 
 demo: $(VENV)/.installed
 	@echo "== four estimators on a simulated park and on the recorded Victoria Park =="
@@ -18,6 +18,11 @@ test: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
+
+# A warning is an error. The first page is docs/_build/index.html.
+docs: $(VENV)/.installed
+	$(BIN)/python -m sphinx -W --keep-going -q -c docs -d docs/_build/.trees . docs/_build
+	@echo "== done: docs/_build/index.html =="
 
 # All parts, or some: make bench PART="map-size start-up". Peers that cannot be had have empty rows.
 bench: $(VENV)/.peers
@@ -35,7 +40,7 @@ bars: $(VENV)/.installed
 	$(BIN)/python tests/far_starts.py
 
 # Rewrites results/plugin-rates.csv: how often the assertions of ekfslam.testing fail, rightly and
-# not; half an hour.
+# not; a quarter of an hour.
 rates: $(VENV)/.installed
 	$(BIN)/python tests/plugin_rates.py
 

@@ -3,13 +3,13 @@
 Five iRobot Create with a forward camera that reads barcodes, on the landmarks and on each other, in
 15 m x 8 m; their poses by motion capture. The files, ``N`` being 1 to 5, with ``#`` for comments:
 
-=========================== =================================================================
-``Barcodes.dat``            subject, barcode; 1 to 5 are the robots, the others landmarks
+============================ ==================================================================
+``Barcodes.dat``             subject, barcode; 1 to 5 are the robots, the others landmarks
 ``Landmark_Groundtruth.dat`` subject, x, y [m], their standard deviations [m]
-``RobotN_Odometry.dat``     time [s], forward velocity [m/s], angular velocity [rad/s]
-``RobotN_Measurement.dat``  time [s], barcode (its header says subject), range [m], bearing [rad]
-``RobotN_Groundtruth.dat``  time [s], x, y [m], heading [rad]
-=========================== =================================================================
+``RobotN_Odometry.dat``      time [s], forward velocity [m/s], angular velocity [rad/s]
+``RobotN_Measurement.dat``   time [s], barcode (its header says subject), range [m], bearing [rad]
+``RobotN_Groundtruth.dat``   time [s], x, y [m], heading [rad]
+============================ ==================================================================
 
 Instead of the last one there may be ``RobotN_Groundtruth_sparse.dat``: single instants at which the
 pose is known, optionally with a count in a fifth column; a pose takes one within half a step.
@@ -51,7 +51,7 @@ and the NIS is 1.0 per degree of freedom.
 Barcodes are misread now and then, up to nine times in a run: the bearing is off by more than
 `misread_beyond` from where the truth has what was read, mostly by much more. One such sighting
 spoils a filter that is told whom it saw. Since association is given, they are left out where the
-truth is known; `misread_beyond=3.2` leaves them in, for estimators with gates or robust losses.
+truth is known; ``misread_beyond=3.2`` leaves them in, for estimators with gates or robust losses.
 Barcodes that are in no table, and a robot's own, are left out too; the notes count all of it.
 """
 

@@ -16,20 +16,20 @@ may be left out, and their cells may be blank where it says so. Lengths are in m
     ============ =================================================================================
 
 ``observations``: one row for each sighting, steps not decreasing
-    ============= ================================================================================
-    robot         whose sensor it is; needed if there are several
-    step          the pose from which it was made: 0 is the first pose, before any motion
-    time          of the sighting [s]. Without ``step``, that of its pose: to the last digit, or
-                  within the header's ``time_tolerance`` of one pose alone
-    sensor        its name; needed if there are several
-    of the sensor needed, blank in the rows of others: ``range, bearing`` or ``x, y``, or one of a
-                  bearing and a range alone
-    landmark      identity, a whole number from 0 on; blank where it is not known
-    noise         of each row instead of the sensor's, blank where it is the sensor's; see below
+    ============== ===============================================================================
+    robot          whose sensor it is; needed if there are several
+    step           the pose from which it was made: 0 is the first pose, before any motion
+    time           of the sighting [s]. Without ``step``, that of its pose: to the last digit, or
+                   within the header's ``time_tolerance`` of one pose alone
+    sensor         its name; needed if there are several
+    of the sensor  needed, blank in the rows of others: ``range, bearing`` or ``x, y``, or one of a
+                   bearing and a range alone
+    landmark       identity, a whole number from 0 on; blank where it is not known
+    noise          of each row instead of the sensor's, blank where it is the sensor's; see below
     observed_robot name of a robot that is seen instead of a landmark; blank otherwise
-    descriptor    a number such as a trunk diameter; blank where there is none
-    true_landmark true identity, for evaluation alone; blank for clutter
-    ============= ================================================================================
+    descriptor     a number such as a trunk diameter; blank where there is none
+    true_landmark  true identity, for evaluation alone; blank for clutter
+    ============== ===============================================================================
 
 ``truth``, for evaluation alone: ``robot``, ``step`` (or ``time``), ``x``, ``y``, ``heading``
     Poses in the world; blank, or without a row, where they are not known. Robots without a row have

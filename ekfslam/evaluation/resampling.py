@@ -1,7 +1,7 @@
 """Intervals and tests for the mean of paired differences, from the differences alone.
 
 The interval is the symmetric bootstrap-t (Hall 1988): the mean plus and minus the quantile of
-|mean* - mean| / se* over resamples, times the standard error. It may be written x ± y, and its
+``|mean* - mean| / se*`` over resamples, times the standard error. It may be written x ± y, and its
 coverage is nearer to what it claims than that of percentile intervals where differences are skewed
 or few. The test flips signs at random: if the two estimators are alike, a difference is as likely
 as its negative. It is exact, and it judges the mean, as the interval does.
@@ -138,7 +138,7 @@ def _counts(n: int, resamples: int, seed: int) -> Iterator[Array]:
 
 
 def _ratios(counts: Array, centred: Array) -> Array:
-    """Of each resample |mean* - mean| / se*: infinite if all that was drawn is equal."""
+    """Of each resample ``|mean* - mean| / se*``: infinite if all that was drawn is equal."""
     n = len(centred)
     means = counts @ centred / n
     variances = (counts @ centred**2 / n - means**2) / (n - 1)

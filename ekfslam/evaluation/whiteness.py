@@ -4,7 +4,7 @@ Innovations of a consistent filter are uncorrelated in time (Bar-Shalom et al. 2
 whitened by the Cholesky factor of its own covariance S, w = L^-1 nu, and paired with the one of the
 same landmark at the next step. With sums over the pairs, of one run or of many,
 
-    rho = sum w_k . w_{k+1} / sqrt(sum |w_k|^2  sum |w_{k+1}|^2),
+    ``rho = sum w_k . w_{k+1} / sqrt(sum |w_k|^2  sum |w_{k+1}|^2)``,
 
 which is near N(0, 1 / terms) if all the products are independent. Those of one step share the error
 of the pose, so that rho scatters somewhat more than that; the spread between runs says how much.
@@ -29,7 +29,7 @@ class Whiteness(NamedTuple):
     cross : float
         Of w_k . w_{k+1}.
     before, after : float
-        Of |w_k|^2 and of |w_{k+1}|^2.
+        Of ``|w_k|^2`` and of ``|w_{k+1}|^2``.
     terms : int
         Scalar products in `cross`: 2 of a pair of full observations, 1 of bearings or ranges.
     """

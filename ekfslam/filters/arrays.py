@@ -40,7 +40,9 @@ class Points(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """What a correction writes to and nobody reads after it; see `ekf_slam.correct_with`.
+    """What a correction writes to and nobody reads after it.
+
+    See `ekfslam.filters.ekf_slam.correct_with`.
 
     Attributes
     ----------

@@ -3,19 +3,19 @@
 A model says what body increment ``delta`` a control ``u`` commands, with ``d delta / d u``. All of
 it is vectorised over a run: increments and their covariances do not depend on the state.
 
-==================== ============== ======== ==================================================
-kind                 control        needs    source
-==================== ============== ======== ==================================================
-odometry             dh, dl, dtheta          Ciatto, Eq. 2.2 (Solà, Eqs. 58 to 60)
-advance-turn         dx, dalpha              Solà, C.2.1 (turn after the advance)
-velocity             v, omega, dt            "Extended Kalman Filter SLAM", 3.4; exact arc
-velocity-euler       v, omega, dt            its Euler step
-wheel-speeds         vl, vr, dt     width    Ciatto, A.5; exact arc
-wheel-speeds-euler   vl, vr, dt     width    Ciatto, Eq. 2.1
-wheel-increments     l, r           width    notes on Brenner's lectures; exact arc
+==================== ============== ========= =================================================
+kind                 control        needs     source
+==================== ============== ========= =================================================
+odometry             dh, dl, dtheta           Ciatto, Eq. 2.2 (Solà, Eqs. 58 to 60)
+advance-turn         dx, dalpha               Solà, C.2.1 (turn after the advance)
+velocity             v, omega, dt             "Extended Kalman Filter SLAM", 3.4; exact arc
+velocity-euler       v, omega, dt             its Euler step
+wheel-speeds         vl, vr, dt     width     Ciatto, A.5; exact arc
+wheel-speeds-euler   vl, vr, dt     width     Ciatto, Eq. 2.1
+wheel-increments     l, r           width     notes on Brenner's lectures; exact arc
 car                  V, gamma, dt   wheelbase Bailey et al. 2006
-none                                         Solà, 1.4.1 (the control may be void)
-==================== ============== ======== ==================================================
+none                                          Solà, 1.4.1 (the control may be void)
+==================== ============== ========= =================================================
 
 Lengths in m, speeds in m/s, angles in rad, times in s. ``width`` is the distance between the
 wheels: 2L of Ciatto, W of the notes on Brenner's lectures. A ``dt`` is exact; the others are noisy.
