@@ -47,6 +47,7 @@ _HOMES = {
     "Trajectory": "ekfslam.estimates",
     "UnknownNameError": "ekfslam.errors",
     "UnsupportedError": "ekfslam.errors",
+    "animate": "ekfslam.experiments.film",
     "association_study": "ekfslam.experiments",
     "check": "ekfslam.validation",
     "compare": "ekfslam.experiments",

@@ -40,6 +40,7 @@ FLOORS: dict[int, tuple[tuple[str, ...], ...]] = {
             "ekfslam.registry",
             "ekfslam.adapters",
             "ekfslam.held",
+            "ekfslam.moments",
         ),
     ),
     4: (
@@ -60,6 +61,7 @@ LIBRARIES = {
     "gtsam": ("baselines",),
     "matplotlib": ("ekfslam.plots",),
     "numba": ("ekfslam.compiled",),
+    "PIL": ("ekfslam.plots",),
     "typer": ("ekfslam.cli",),
     "rich": ("ekfslam.cli",),
     "psutil": ("ekfslam.checks",),

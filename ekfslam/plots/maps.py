@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,7 +84,7 @@ def plot_map(
     true_paths = _true_paths(trajectories)
     true_map = _true_map(landmarks) if known is None else np.asarray(known, float).reshape(-1, 2)
     truth = _finite(np.concatenate([*true_paths, true_map]))
-    low, high = _frame(truth, contents)
+    low, high = frame(truth, [(np.concatenate(c.paths), c.landmarks) for c in contents])
     heading = titled(width, _heading(title, contents), _absent(absent))
     extent = high - low
     key = Key.of([*(c.series.label for c in contents), *_TRUE], width, most=3)
@@ -171,12 +171,20 @@ def _is_covariance(matrices: Array) -> np.ndarray:
 # The frame --------------------------------------------------------------------------------------
 
 
-def _frame(truth: Array, contents: list[_Content]) -> tuple[Array, Array]:
-    """Corners of the view: the truth and the estimates that are not much larger, with a margin."""
-    boxes = [_finite(np.concatenate([truth, *c.paths, c.landmarks])) for c in contents]
+def frame(truth: Array, estimates: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Corners of a view: the truth and the estimates that are not much larger, with a margin.
+
+    Parameters
+    ----------
+    truth : (n, 2) ndarray
+        Places of all that is true; none if it is not known.
+    estimates : sequence of (ndarray, ndarray)
+        Places of the paths and of the landmarks of each, (n, 2).
+    """
+    boxes = [_finite(np.concatenate([truth, *parts])) for parts in estimates]
     # Where no truth says how large the world is, those do who have mapped it: dead reckoning has
     # nothing to hold on to.
-    mappers = [b for b, c in zip(boxes, contents, strict=True) if len(c.landmarks)] or boxes
+    mappers = [b for b, (_, own) in zip(boxes, estimates, strict=True) if len(own)] or boxes
     reference = _diagonal(truth) if len(truth) else typical([_diagonal(box) for box in mappers])
     reference = max(reference, 1.0)
     points = np.concatenate([truth, *(b for b in boxes if _diagonal(b) <= _ROOM * reference)])
