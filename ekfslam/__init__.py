@@ -9,11 +9,49 @@ import logging
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the same names for type checkers and editors
     from pathlib import Path
 
-    from ekfslam.dataset import Dataset
-    from ekfslam.estimates import Estimate
+    from ekfslam.dataset import Dataset as Dataset
+    from ekfslam.dataset import LandmarkMap as LandmarkMap
+    from ekfslam.dataset import Observations as Observations
+    from ekfslam.dataset import Prior as Prior
+    from ekfslam.dataset import Robot as Robot
+    from ekfslam.dataset import Sightings as Sightings
+    from ekfslam.datasets.table_columns import to_tables as to_tables
+    from ekfslam.datasets.table_files import write_tables as write_tables
+    from ekfslam.datasets.tables import from_tables as from_tables
+    from ekfslam.errors import EkfslamError as EkfslamError
+    from ekfslam.errors import FileFormatError as FileFormatError
+    from ekfslam.errors import InputError as InputError
+    from ekfslam.errors import UnknownNameError as UnknownNameError
+    from ekfslam.errors import UnsupportedError as UnsupportedError
+    from ekfslam.estimates import Decision as Decision
+    from ekfslam.estimates import Estimate as Estimate
+    from ekfslam.estimates import Innovations as Innovations
+    from ekfslam.estimates import LandmarkEstimates as LandmarkEstimates
+    from ekfslam.estimates import Trajectory as Trajectory
+    from ekfslam.experiments import Campaign as Campaign
+    from ekfslam.experiments import CampaignResults as CampaignResults
+    from ekfslam.experiments import Comparison as Comparison
+    from ekfslam.experiments import association_study as association_study
+    from ekfslam.experiments import load_campaign as load_campaign
+    from ekfslam.experiments import read_campaign as read_campaign
+    from ekfslam.experiments import run_campaign as run_campaign
+    from ekfslam.experiments.compare import compare as compare
+    from ekfslam.experiments.film import animate as animate
+    from ekfslam.filters.ekf import Ekf as Ekf
+    from ekfslam.filters.online import EkfSlam as EkfSlam
+    from ekfslam.models.motion import MotionModel as MotionModel
+    from ekfslam.models.sensors import Sensor as Sensor
+    from ekfslam.own_models import OwnMotion as OwnMotion
+    from ekfslam.own_models import propagated as propagated
+    from ekfslam.simulation import RobotPlan as RobotPlan
+    from ekfslam.simulation import Scenario as Scenario
+    from ekfslam.simulation import SensorPlan as SensorPlan
+    from ekfslam.simulation import load_scenario as load_scenario
+    from ekfslam.simulation.simulate import simulate as simulate
+    from ekfslam.validation import check as check
 
 __version__ = "0.1.0"
 
@@ -65,10 +103,12 @@ _HOMES = {
 __all__ = [*_HOMES, "estimate", "load"]
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'ekfslam' has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        if name not in _HOMES:
+            raise AttributeError(f"module 'ekfslam' has no attribute {name!r}")
+        return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
