@@ -62,6 +62,7 @@ LIBRARIES = {
     "matplotlib": ("ekfslam.plots",),
     "numba": ("ekfslam.compiled",),
     "PIL": ("ekfslam.plots",),
+    "rerun": ("ekfslam.export.rerun_file",),
     "typer": ("ekfslam.cli",),
     "rich": ("ekfslam.cli",),
     "psutil": ("ekfslam.checks",),

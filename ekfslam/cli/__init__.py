@@ -12,6 +12,7 @@ from ekfslam.cli.campaigns import campaign, summary
 from ekfslam.cli.checking import check
 from ekfslam.cli.comparing import compare
 from ekfslam.cli.ending import ended
+from ekfslam.cli.export import export
 from ekfslam.cli.lists import datasets, estimators
 from ekfslam.cli.report import report
 from ekfslam.cli.simulating import simulate
@@ -59,8 +60,16 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for command in (compare, check, simulate, datasets, estimators, campaign, summary, report, animate):
-    app.command()(command)
+app.command()(compare)
+app.command()(check)
+app.command()(simulate)
+app.command()(datasets)
+app.command()(estimators)
+app.command()(campaign)
+app.command()(summary)
+app.command()(report)
+app.command()(animate)
+app.command()(export)
 app.add_typer(study, name="study")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +17,7 @@ from ekfslam.errors import UnknownNameError
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import tables
 from ekfslam.experiments.attempts import Watch
-from ekfslam.experiments.files import check_form, write_table, write_together
+from ekfslam.experiments.files import check_form, stem, write_table, write_together
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -237,9 +236,4 @@ def _draw(
     whose = () if robot is None else (robot,)
     drawn = getattr(comparison, f"plot_{figure}")(dataset, *whose)
     several = len(comparison.datasets[dataset].robots) > 1
-    save(drawn, folder, _stem(dataset, *(whose if several else ()), figure))
-
-
-def _stem(*words: str) -> str:
-    """Name of a file; names may come from a file that somebody else wrote."""
-    return "-".join(re.sub(r"[^\w.-]+", "-", word).strip(".-") or "dataset" for word in words)
+    save(drawn, folder, stem(dataset, *(whose if several else ()), figure))

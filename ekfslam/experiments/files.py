@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import platform
+import re
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -131,3 +132,8 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[package] = "not installed"
     return found
+
+
+def stem(*words: str) -> str:
+    """Name of a file; names may come from a file that somebody else wrote."""
+    return "-".join(re.sub(r"[^\w.-]+", "-", word).strip(".-") or "dataset" for word in words)

@@ -156,7 +156,7 @@ _WHITENED = [value if value < 248 else 255 for value in range(256)] * 3
 
 
 def _few(picture: Image.Image, palette: Image.Image | None = None) -> Image.Image:
-    """A picture in few colours, of which white is one: what is almost white would take its place."""
+    """A picture in few colours, of which white is one: almost white would take its place."""
     white = picture.point(_WHITENED)
     return white.quantize(_COLORS, palette=palette, dither=Image.Dither.NONE)
 
