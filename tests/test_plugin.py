@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 
 import ekfslam
-import ekfslam.plots.seeds
-import ekfslam.testing.assertions  # a session inside this one forgets what it imports
+from ekfslam.testing import assert_not_worse
 from ekfslam.testing.references import TITLE, read_reference, rewrite
 
 pytest_plugins = "pytester"
@@ -36,6 +35,13 @@ class Filter:
 """
 
 
+@pytest.fixture(scope="module", autouse=True)
+def loaded():
+    """All that a failure needs is imported: a session inside this one forgets what it imports."""
+    with pytest.raises(AssertionError, match=r"figure: .*map-of-worst"):
+        assert_not_worse("dead-reckoning", "ekf", ekfslam.simulate("loop-15", seed=0))
+
+
 @pytest.fixture
 def run(pytester):
     """Run a file of tests, as a user does."""
@@ -43,7 +49,9 @@ def run(pytester):
     def run(body, *options):
         pytester.makepyfile(test_mine=WORSE + body)
         found = pytester.runpytest("-W", "error", *options)
-        return found, "\n".join(found.outlines + found.errlines)
+        text = "\n".join(found.outlines + found.errlines)
+        assert "no figure" not in text
+        return found, text
 
     return run
 
