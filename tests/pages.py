@@ -13,6 +13,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -102,7 +103,7 @@ def check_command(line: str, mention: bool = False) -> None:
     A mention may leave out what a command needs, as in "`ekfslam compare --out`".
     """
     words = [word for word in shlex.split(line, comments=True) if not re.match(r"[A-Z_]+=", word)]
-    program, *words = words
+    program, *words = takewhile(lambda word: word not in ("|", ">"), words)
     check = {
         "ekfslam": _check_ekfslam,
         "make": _check_make,
