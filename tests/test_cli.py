@@ -13,8 +13,11 @@ from importlib.metadata import version
 import numpy as np
 import pandas as pd
 import pytest
+import typer
+from pages import check_command
 
 import ekfslam
+from ekfslam.cli import app
 from ekfslam.evaluation import tables
 
 HEAVY = ("numpy", "pandas", "scipy", "matplotlib", "numba", "gtsam")
@@ -87,11 +90,31 @@ def test_help_opens_with_worked_examples(command):
         assert re.search(rf"│ {name} ", shown.out)
 
 
-@pytest.mark.parametrize("name", ["compare", "check", "simulate", "study association"])
-def test_help_of_a_command(command, name):
-    shown = command(*name.split(), "-h")
+def every_command(group=None, before=()):
+    """Words that lead to each command, with the command."""
+    group = group or typer.main.get_command(app)
+    for name, command in group.commands.items():
+        yield (*before, name), command
+        if hasattr(command, "commands"):
+            yield from every_command(command, (*before, name))
+
+
+COMMANDS = dict(every_command())
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_help_of_a_command_opens_with_examples(command, words):
+    shown = command(*words, "-h")
     assert shown.status == 0
-    assert f"ekfslam {name}" in re.split("Arguments|Options", shown.out)[0].split("Example")[1]
+    first = re.split("─ (?:Arguments|Options)", shown.out)[0]
+    heading, _, examples = first.partition(" Examples ")
+    assert len(re.sub("Usage: .*", "", heading).split()) > 3  # what it does
+    assert f"ekfslam {' '.join(words)}" in examples
+    lines = [line.strip() for line in COMMANDS[words].help.splitlines()]
+    given = [line for line in lines if line.startswith("ekfslam ")]
+    assert given
+    for line in given:
+        check_command(line)
 
 
 def test_help_of_the_studies(command):
