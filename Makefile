@@ -19,10 +19,10 @@ test: $(VENV)/.installed
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
 
-# A warning is an error. The first page is docs/_build/index.html.
+# A warning is an error. The first page is docs/_build/html/index.html.
 docs: $(VENV)/.installed
-	$(BIN)/python -m sphinx -W --keep-going -q -c docs -d docs/_build/.trees . docs/_build
-	@echo "== done: docs/_build/index.html =="
+	$(BIN)/python -m sphinx -W --keep-going -q -c docs -d docs/_build/trees . docs/_build/html
+	@echo "== done: docs/_build/html/index.html =="
 
 # All parts, or some: make bench PART="map-size start-up". Peers that cannot be had have empty rows.
 bench: $(VENV)/.peers

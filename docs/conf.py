@@ -7,6 +7,7 @@ reference, and the reference of the command.
 
 from __future__ import annotations
 
+import html
 import pkgutil
 import re
 import sys
@@ -83,8 +84,8 @@ def drop_folders(text: str, docname: str) -> str:
 def grow_tree(text: str) -> str:
     """Each section of the index whose items are links is a branch of the tree of pages."""
     for title, body in re.findall(r"^## (.*)\n((?:(?!## ).*\n)*)", text, flags=re.MULTILINE):
-        if pages := re.findall(r"^- \[.*?\]\((.*?)\)", body, flags=re.MULTILINE):
-            listed = "\n".join(re.sub(r"\.(md|ipynb)$", "", page) for page in pages)
+        if links := re.findall(r"^- \[(.*?)\]\((.*?)\.\w+\)", body, flags=re.MULTILINE):
+            listed = "\n".join(f"{name} <{page}>" for name, page in links)
             text += f"\n```{{toctree}}\n:hidden:\n:caption: {title}\n\n{listed}\n```\n"
     return text
 
@@ -99,7 +100,24 @@ def describe_commands() -> str:
     command = typer.main.get_command(app)
     context = command.make_context("ekfslam", [], resilient_parsing=True)
     text = get_docs_for_click(obj=command, ctx=context, name="ekfslam", indent=1)
-    return re.sub(r"</?span.*?>|\[/?(?:bold|dim)\]", "", text)
+    text = re.sub(r'<span style="color[^>]*>(.*?)</span>', r"# \1", text)
+    text = re.sub(r'<span style="font-weight[^>]*>(.*?)</span>', r"**\1**", text)
+    examples = re.compile(r"(?:^  \S.*\n+)+", re.MULTILINE)
+    return examples.sub(lambda lines: f"```sh\n{_dense(lines[0])}```\n\n", text)
+
+
+def _dense(lines: str) -> str:
+    return "".join(f"{html.unescape(line.strip())}\n" for line in lines.splitlines() if line)
+
+
+def head_modules(text: str) -> str:
+    """Every module of the reference has a heading."""
+    return re.sub(
+        r"^\.\. automodule:: (\S+)$",
+        r".. rubric:: \1\n   :heading-level: 2\n\n\g<0>",
+        text,
+        flags=re.MULTILINE,
+    )
 
 
 def list_others(match: re.Match[str]) -> str:
@@ -121,6 +139,7 @@ def read_source(app, docname, source):
     elif docname == "docs/reference/commands":
         text += describe_commands()
     text = re.sub(r"<!-- all other modules of ([\w.]+) -->\n", list_others, text)
+    text = head_modules(text)
     if not docname.startswith("notebooks"):
         text = link_names(drop_folders(text, docname))
     source[0] = text
