@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from seeded_again import jointly
 from textbook import MISTAKES, TextbookEkf
 
 from ekfslam import Ekf
+from ekfslam.cli.printing import print_report
 from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
 from ekfslam.estimates import Estimate, LandmarkEstimates, Trajectory
 from ekfslam.registry import resolve
@@ -305,6 +307,27 @@ def test_who_raises_has_failed_and_the_reason_is_one_line(astern):
     assert report.consistent is False
     failed = {rung.detail for rung in report.rungs if rung.outcome == "fail"}
     assert failed == {"raised RuntimeError: in two lines"}
+
+
+def test_what_a_filter_raises_is_told_once_with_its_place(astern, capsys):
+    class Stumbling:
+        def __init__(self, prior):
+            self.pose, self.steps = prior.mean, 0
+
+        def predict(self, increment, covariance):
+            self.steps += 1
+
+        def observe(self, observations):
+            if self.steps > 3:
+                raise KeyError(7)
+
+    print_report(check(Stumbling, scenarios=astern))
+    shown = capsys.readouterr().out
+    place = r"raised KeyError: 7 \(test_check.py, line \d+, in observe, at step 3\)"
+    assert len(re.findall(place, shown)) == 1
+    assert shown.count("raised the same") == 6
+    assert "consistent" not in shown  # nothing was measured
+    assert shown.endswith("FAILED\n")
 
 
 @pytest.mark.parametrize("status", ["failed", "skipped"])

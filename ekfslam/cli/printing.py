@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
     from ekfslam.experiments import AssociationStudy, CampaignResults, PartialStudy
     from ekfslam.validation import Finding, Report
+    from ekfslam.validation.ladder import Rung
 
 
 def large(files: Iterable[Path]) -> str:
@@ -97,7 +99,8 @@ def print_report(report: Report) -> None:
         table.add_column(heading, no_wrap=not (narrow and heading == "rung"))
     if not narrow:
         table.add_column("where")
-    for rung in report.rungs:
+    rungs = _said_once(report.rungs)
+    for rung in rungs:
         measured = "" if rung.measured != rung.measured else f"{rung.measured:.2g}"
         table.add_row(
             str(rung.number),
@@ -111,15 +114,28 @@ def print_report(report: Report) -> None:
     console(terminal_width() or needed(table)).print(table)
     if narrow:
         console().print()
-    for rung in report.rungs if narrow else ():
+    for rung in rungs if narrow else ():
         if rung.detail:
             text = f"{rung.number} {rung.scenario}: {rung.detail}"
             print(textwrap.fill(text, terminal_width() or WIDE, subsequent_indent="  "))
     if report.findings:
         _print_findings(report.findings)
-    if report.consistent is not None:
-        print("consistent" if report.consistent else "not consistent, which is no failure")
+    if report.consistent:
+        print("consistent")
+    elif any(rung.outcome == "inconsistent" for rung in report.rungs):
+        print("not consistent, which is no failure")
     print("passed" if report.passed else "FAILED")
+
+
+def _said_once(rungs: Sequence[Rung]) -> list[Rung]:
+    """The rungs, with what a filter raised written out the first time alone."""
+    said: set[str] = set()
+    shown = []
+    for rung in rungs:
+        again = rung.detail in said and rung.detail.startswith("raised ")
+        shown.append(replace(rung, detail="raised the same") if again else rung)
+        said.add(rung.detail)
+    return shown
 
 
 def _print_findings(findings: Sequence[Finding]) -> None:

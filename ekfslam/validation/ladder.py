@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from ekfslam.dataset import Dataset
-from ekfslam.errors import UnsupportedError
+from ekfslam.errors import UnsupportedError, in_words
 from ekfslam.estimates import SKIPPED
 from ekfslam.registry import Estimator, estimator_name, resolve
 from ekfslam.simulation import simulate
@@ -190,8 +190,7 @@ def _climb(
     except UnsupportedError as reason:
         return replace(rung, outcome=NOT_APPLICABLE, detail=str(reason))
     except Exception as error:
-        text = f"raised {type(error).__name__}: {' '.join(str(error).split())}"
-        return replace(rung, detail=text)
+        return replace(rung, detail=f"raised {in_words(error)}")
     outcome = FAIL
     if measured >= rung.bound if rung.at_least else measured <= rung.bound:
         outcome = PASS
