@@ -17,6 +17,7 @@ import re
 import sys
 from ast import literal_eval
 from collections.abc import Callable
+from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -186,7 +187,11 @@ def resolve(estimator: str | Any, **options: Any) -> Estimator:
         try:
             estimator = estimator(**options)
         except TypeError as error:
-            raise InputError(f"cannot make the estimator: {error}") from None
+            name = name_of(estimator)
+            raise InputError(
+                f"cannot make {name}: {error}; a filter has predict and observe, a function takes "
+                f"a dataset, and all else are options, as in {name}(option=value)"
+            ) from None
     elif options:
         raise InputError(f"options {', '.join(options)} are for a name or a class")
     if isinstance(estimator, Estimator):
@@ -230,14 +235,20 @@ def _load(name: str) -> Any:
             return known[name].load()
         except Exception as error:
             raise InputError(f"cannot load estimator {name!r}: {error}") from None
+    module_name, _, attribute = name.partition(":")
+    stem = module_name.removesuffix(".py")
+    if (stem != module_name or not attribute) and Path(f"{stem}.py").is_file():
+        right = f"{Path(stem).name}:{attribute or 'MyFilter'}"
+        raise InputError(
+            f"cannot load estimator {name!r}: write {right}, in the folder of the file"
+        )
     if ":" not in name:
         raise UnknownNameError("estimator", name, known)
-    module_name, _, attribute = name.partition(":")
     try:
         target = _imported(module_name)
         for part in attribute.split("."):
             target = getattr(target, part)
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a script may end itself where it is imported
         raise InputError(f"cannot load estimator {name!r}: {_why(error, module_name)}") from None
     return target
 
@@ -256,7 +267,7 @@ def _imported(name: str) -> ModuleType:
     return module
 
 
-def _why(error: Exception, module: str) -> str:
+def _why(error: BaseException, module: str) -> str:
     """Why a module or something in it cannot be loaded, and where in it that is."""
     said = str(error)
     if isinstance(error, ModuleNotFoundError) and error.name == module:
@@ -264,6 +275,10 @@ def _why(error: Exception, module: str) -> str:
     if not isinstance(error, ImportError | AttributeError | SyntaxError):
         said = f"{type(error).__name__}: {said}"
     where = place(error, {module.partition(".")[0]})
+    if isinstance(error, AttributeError) and not where:  # the name alone is wrong
+        there = [each for each in dir(error.obj) if not each.startswith("_")]
+        close = get_close_matches(error.name or "", there, cutoff=0.5)
+        return f"{said}; did you mean {' or '.join(close)}?" if close else said
     return f"{said} ({where})" if where else said
 
 

@@ -187,7 +187,7 @@ def test_constructors_that_ask_for_more():
 
     with pytest.raises(InputError, match="cannot make Asking: missing a required argument: 'x0'"):
         resolve(Asking)
-    with pytest.raises(InputError, match=r"cannot make the estimator: .*missing 2 required"):
+    with pytest.raises(InputError, match=r"cannot make <lambda>: .*missing 2 required"):
         resolve(lambda first, second: None)
 
 

@@ -62,6 +62,9 @@ class Outer:
 def make():
     return Mine(gate=0.25)
 
+def of_two(dataset, other):
+    return None
+
 ready = Mine(gate=0.75)
 constant = 3
 """
@@ -119,7 +122,12 @@ def test_module_and_attribute_work_wherever_a_name_does():
         ("absent_module:Mine", "cannot load estimator 'absent_module:Mine': No module named"),
         ("my_estimators:Absent", "has no attribute 'Absent'"),
         ("my_estimators:Mine.absent", "has no attribute 'absent'"),
-        ("my_estimators:", "cannot load estimator 'my_estimators:'"),
+        ("my_estimators:Mines", r"has no attribute 'Mines'; did you mean Mine\?"),
+        ("my_estimators:", "cannot load estimator 'my_estimators:': write my_estimators:MyFilter"),
+        ("my_estimators", "'my_estimators': write my_estimators:MyFilter"),
+        ("./my_estimators.py", r"write my_estimators:MyFilter, in the folder of the file"),
+        ("my_estimators.py:Mine", "write my_estimators:Mine, in the folder of the file"),
+        ("my_estimators:of_two", r"cannot make of_two: .* missing .* as in of_two\(option=value\)"),
         (":Mine", "cannot load estimator ':Mine'"),
         ("my_estimators:constant", "3 is no estimator"),
     ],
@@ -155,7 +163,7 @@ def test_where_an_estimator_comes_from(folder):
 
 @pytest.mark.parametrize(
     "source",
-    ["def broken(:", "raise RuntimeError('no')", "import absent_dependency", "1 / 0"],
+    ["def broken(:", "raise RuntimeError('no')", "import absent_dependency", "1 / 0", "exit('no')"],
 )
 def test_modules_that_fail_to_import(source, folder):
     (folder / "failing.py").write_text(source)
