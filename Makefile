@@ -1,4 +1,5 @@
-# Each target makes what it needs in this folder and can be run again.
+# Each target makes what it needs in this folder and can be run again. With another Python, beside
+# what is there: make test PYTHON=python3.13 VENV=.venv-3.13
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
