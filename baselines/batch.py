@@ -17,11 +17,12 @@ from baselines.entry import all_at_once, notes, partial, rows_of, warm_up
 from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
 from baselines.options import check
+from ekfslam.adapters import Progress
 from ekfslam.dataset import Dataset
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import FAILED, Estimate, LandmarkEstimates, Trajectory
 from ekfslam.geometry import Array
-from ekfslam.registry import Progress, estimator_name, resolve
+from ekfslam.registry import estimator_name, resolve
 
 LARGE = 500
 

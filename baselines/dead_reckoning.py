@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekfslam import geometry as geo
+from ekfslam.adapters import Progress
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import Estimate, Trajectory
 from ekfslam.geometry import Array
-from ekfslam.registry import Progress
 from ekfslam.robots import Robot
 
 

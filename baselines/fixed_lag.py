@@ -13,11 +13,11 @@ from baselines import entry, keys
 from baselines.landmark_graph import LandmarkGraph
 from baselines.stepwise import Arrivals, Stepwise, fed, parameters_of
 from ekfslam import geometry as geo
+from ekfslam.adapters import Progress
 from ekfslam.checks import check_fits
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import Estimate, LandmarkEstimates
 from ekfslam.geometry import Array
-from ekfslam.registry import Progress
 
 # Matrices of the whole map that are held at a time, as measured: by gtsam at a step, and with the
 # joint covariance at the end.

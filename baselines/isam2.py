@@ -10,9 +10,9 @@ import gtsam
 from baselines import covariances, entry
 from baselines.landmark_graph import LandmarkGraph
 from baselines.stepwise import Arrivals, Stepwise, fed, parameters_of
+from ekfslam.adapters import Progress
 from ekfslam.estimates import Estimate, LandmarkEstimates, Trajectory
 from ekfslam.geometry import Array
-from ekfslam.registry import Progress
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,10 +15,10 @@ from baselines.isam2 import GtsamIsam2
 from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
 from baselines.options import check
+from ekfslam.adapters import Progress
 from ekfslam.dataset import Dataset
 from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.estimates import FAILED, Decision, Estimate
-from ekfslam.registry import Progress
 
 METHODS = ("batch", "isam2")
 

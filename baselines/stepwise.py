@@ -18,10 +18,10 @@ from baselines.landmark_graph import ODOMETRY_FLOOR, LandmarkGraph
 from baselines.noise import chosen
 from baselines.options import check
 from ekfslam import geometry as geo
+from ekfslam.adapters import Progress
 from ekfslam.dataset import Dataset
 from ekfslam.estimates import FAILED, Estimate, Trajectory
 from ekfslam.geometry import Array
-from ekfslam.registry import Progress
 
 
 @dataclass(frozen=True, kw_only=True)

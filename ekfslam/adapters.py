@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import inspect
 import time
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,8 +26,8 @@ from ekfslam.geometry import wrap
 from ekfslam.held import POSE, Held, innovation_norms, joined
 from ekfslam.models.sensors import VIEWS
 
-if TYPE_CHECKING:
-    from ekfslam.registry import Progress
+Progress = Callable[[int, int], None]
+"""Called with (steps done, steps in all) on long work."""
 
 
 def name_of(thing: Any) -> str:

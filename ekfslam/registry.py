@@ -32,9 +32,6 @@ from ekfslam.estimates import Estimate
 GROUP = "ekfslam.estimators"
 ORACLES = "ekfslam.oracles"
 
-Progress = Callable[[int, int], None]
-"""Called with (steps done, steps in all) on long work."""
-
 
 @runtime_checkable
 class Estimator(Protocol):

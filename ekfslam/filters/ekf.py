@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ekfslam.adapters import Progress
 from ekfslam.dataset import Dataset, Sightings
 from ekfslam.errors import UnsupportedError
 from ekfslam.estimates import (
@@ -26,7 +27,6 @@ from ekfslam.filters.options import Options
 from ekfslam.filters.suitability import check_views, views_of_landmarks
 from ekfslam.filters.variants import EKF
 from ekfslam.geometry import Array, compose, compose_jacobians, congruence, heading_block
-from ekfslam.registry import Progress
 
 EVENTS = 4  # journal entries per observation at most, on average: seen, created, converted, waited
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ekfslam.adapters import Progress
 from ekfslam.association.gates import Gates, chi2_gate, quantiles
 from ekfslam.checks import checked_number
 from ekfslam.compiled import prepare
@@ -19,7 +20,6 @@ from ekfslam.filters.map_matching import KNOWN, NEAREST, NEAREST_POSITION, Match
 from ekfslam.geometry import Array
 from ekfslam.models.sensors import BEARING, RANGE
 from ekfslam.observations import NO_LANDMARK, WIDTH
-from ekfslam.registry import Progress
 
 ASSOCIATIONS = {
     "known": KNOWN,

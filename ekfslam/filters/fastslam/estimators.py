@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ekfslam.adapters import Progress
 from ekfslam.association.gates import Gates, chi2_gate
 from ekfslam.checks import checked_number
 from ekfslam.compiled import prepare
@@ -27,7 +28,6 @@ from ekfslam.filters.fastslam.summary import (
 )
 from ekfslam.geometry import Array, heading_block, wrap
 from ekfslam.models.sensors import RANGE_BEARING, VIEWS, XY
-from ekfslam.registry import Progress
 
 ASSOCIATIONS = ("known", "maximum-likelihood")
 LANDMARKS = 64  # room to begin with, where their number is not known
