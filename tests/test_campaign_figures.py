@@ -7,8 +7,10 @@ import pandas as pd
 import pytest
 from campaigns import SMALL
 from drawn import runs_of, steps_of
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
@@ -284,8 +286,12 @@ def test_pairs_have_their_interval_and_are_filled_where_a_difference_is_seen(tab
     (figure,) = plot_pairs(pairs, "trial", LOOKS).values()
     assert titles(figure) == [f"{label(value)}: 30 seeds" for value in SWEPT]
     assert [axes.get_xlabel() for axes in figure.axes[-2:]] == [
-        f"mean difference of {metric}" for metric in METRICS
+        "mean difference of\nnees_pose_mean_kept",
+        "mean difference of\nate_position_rmse [m]",
     ]
+    FigureCanvasAgg(figure).draw()
+    left, right = (axes.xaxis.label.get_window_extent() for axes in figure.axes[-2:])
+    assert left.x1 < right.x0
     assert figure.axes[0].get_yticklabels()[0].get_text() == "ekf-ri − ekf"
     seen = []
     for row, value in enumerate(SWEPT):
@@ -472,3 +478,14 @@ def test_a_campaign_writes_its_figures_beside_its_tables(tmp_path):
     assert {name for name in names if name.endswith(".png")} == {f"{f}.png" for f in figures}
     assert {name for name in names if name.endswith(".pdf")} == {f"{f}.pdf" for f in figures}
     assert set(results.figures()) == figures
+
+
+def test_a_filter_beyond_the_scale_is_an_arrow_at_the_edge_and_no_empty_row():
+    from ekfslam.plots.run_means import _draw_box
+
+    panel = Figure().add_subplot()
+    for place, value in enumerate([3.0, 1e8]):
+        _draw_box(panel, np.full(5, value), place, "#0072B2")
+    arrows = [line for line in panel.lines if line.get_marker() == ">"]
+    assert [line.get_ydata()[0] for line in arrows] == [1]
+    assert 0.9 < arrows[0].get_xdata()[0] < 1

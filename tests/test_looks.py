@@ -118,6 +118,14 @@ def test_several_filters_of_users_are_told_from_one_another():
         assert one.marker != other.marker
 
 
+def test_many_variants_take_colours_that_nobody_else_in_the_figure_has():
+    variants = [f"fastslam{v}(particles={n})" for v in (1, 2) for n in (10, 30, 100, 300, 1000)]
+    found = plots.looks(["ekf", "ekf-ri", "gtsam-isam2", *variants])
+    assert len(set(found.values())) == 13
+    for one, other in combinations(found.values(), 2):
+        assert distance(one.color, other.color) > 12
+
+
 def test_a_filter_of_the_family_is_no_method_of_association():
     assert plots.look("ekf-ri") == LOOKS["ekf-ri"]
     assert plots.look("ekf-oc") == LOOKS["ekf-oc"]

@@ -81,7 +81,7 @@ def _draw_pairs(
             panels[0].set_title(f"{row.title}: {_seeds(row.table)} seeds", loc="left")
         for panel, metric in zip(axes[-1], metrics, strict=True):
             _scale_differences(panel, pairs[pairs["metric"] == metric])
-            panel.set_xlabel(f"mean difference of {metric}")
+            panel.set_xlabel(f"mean difference of\n{_with_unit(metric)}")
         percent = f"{100 * numbers(pairs, 'probability')[0]:g}"
         add_legend(axes[0, 0].figure, [], found, _forest_handles(percent))
     return axes[0, 0].figure
@@ -135,6 +135,12 @@ def _forest_handles(percent: str) -> dict[str, Line2D]:
         "seen, p adjusted for all": Line2D([], [], linestyle="", **appearance),
         "not seen": Line2D([], [], linestyle="", markerfacecolor="white", **appearance),
     }
+
+
+def _with_unit(metric: str) -> str:
+    """A column of the tables, whose unit is the end of its name."""
+    name, _, unit = metric.rpartition("_")
+    return f"{name} [{unit}]" if unit in ("m", "rad", "s") else metric
 
 
 def _competitor(name: str) -> str:

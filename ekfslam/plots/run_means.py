@@ -39,7 +39,7 @@ def plot_run_means(
     """Mean NEES along each run: quartiles, tails, median and mean, and the share that diverged.
 
     No interval is drawn. The NEES along one run is almost one sample, so that even run means of a
-    consistent estimator scatter far around 3.
+    consistent estimator scatter far around 3. An arrow at the edge is for a median beyond it.
 
     Parameters
     ----------
@@ -90,6 +90,9 @@ def _draw_box(panel: Axes, values: Array, place: int, color: str) -> None:
     values = values[np.isfinite(values)]
     if not len(values):
         return
+    if np.median(values) > LARGEST:  # a row would look as if there were nothing
+        at_edge: dict[str, Any] = {"transform": panel.get_yaxis_transform(), "markersize": 4}
+        panel.plot(0.98, place, ">", color=color, **at_edge)
     low, first, median, third, high = np.quantile(values, [0.05, 0.25, 0.5, 0.75, 0.95])
     panel.hlines(place, low, high, color=color, linewidth=0.8)
     panel.barh(place, third - first, left=first, height=0.6, color=color, alpha=0.35, linewidth=0)

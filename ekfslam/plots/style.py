@@ -101,14 +101,16 @@ METHODS: Mapping[str, Look] = {
 """The EKF by method of association, as in ``ekf-joint`` or ``ekf(association=joint, confirm=3)``;
 a method that is a form of another one shares its colour."""
 
-# For estimators of others, and for ours with options: colours and markers that none of ours has.
-_OTHERS = tuple(
-    Look(color, marker, linestyle)
-    for (marker, linestyle), color in product(
-        [((4, 1, 0), "-"), ((3, 1, 0), "--"), ((8, 1, 0), "-."), ((4, 1, 45), ":")],
-        ["#E105FB", "#CCBB66", "#9D2B15", "#6C1923"],
-    )
-)
+# For estimators of others, and for ours with options: markers that none of ours has.
+_FORMS = (((4, 1, 0), "-"), ((3, 1, 0), "--"), ((8, 1, 0), "-."), ((4, 1, 45), ":"))
+
+
+def _formed(colors: Iterable[str]) -> tuple[Look, ...]:
+    return tuple(Look(color, *form) for form, color in product(_FORMS, colors))
+
+
+_OTHERS = _formed(["#E105FB", "#CCBB66", "#9D2B15", "#6C1923"])  # which none of ours has, either
+_SPARE = _formed(own.color for own in LOOKS.values())  # where many of them, and few of ours, meet
 _CLOSE = 18.0  # distance of colours below which another is looked for
 
 
@@ -138,7 +140,7 @@ def _choices(estimator: str) -> list[Look]:
     method = _METHOD.fullmatch(estimator)
     own = METHODS.get(method[1] or method[2]) if method else None
     start = zlib.crc32(estimator.encode()) % len(_OTHERS)
-    others = [*_OTHERS[start:], *_OTHERS[:start]]
+    others = [*_OTHERS[start:], *_OTHERS[:start], *_SPARE]
     return others if own is None else [own, *others]
 
 
