@@ -30,9 +30,21 @@ SHORTER = {
     "README.md": {
         '["park", "victoria-park"], ["ekf"': '["park", "cloister"], ["ekf"',
         ', "results/mine", workers=2': ', "results/mine"',
+        'save("results/mine")': 'save("results/mine", figures=False)',
     },
-    "docs/report.md": {"compare park victoria-park": "compare cloister"},
-    "docs/your_own_filter.md": {"seeds = 10\n": "seeds = 2\n", " --workers 2": ""},
+    "docs/pytest.md": {
+        '"loop-15", ate_position': '"loop-15", 20, ate_position',
+        'assert_consistent(FILTER, "loop-15")': 'assert_consistent(FILTER, "loop-15", 20)',
+        "seeds=40": "seeds=10",
+        '"loop-15", metric=': '"loop-15", seeds=20, metric=',
+    },
+    "docs/report.md": {"compare park victoria-park": "compare cloister --no-figures"},
+    "docs/your_own_filter.md": {
+        "seeds = 10\n": "seeds = 2\n",
+        " --workers 2": " --no-figures",
+        '["park", "cloister"], ["ekf", MyFilter]': '["cloister"], ["ekf", MyFilter]',
+        'simulate("park", seed=1), MyFilter': 'simulate("cloister", seed=1), MyFilter',
+    },
     "docs/partial.md": {
         "range(50)": "range(1)",
         "(16, 0.01), (16, 0.001), (32, 0.01), (32, 0.001)": "(4, 0.01),",
@@ -40,7 +52,7 @@ SHORTER = {
     "docs/campaigns.md": {
         "seeds = 100  ": "seeds = 2  ",
         ' = ["1 deg", "10 deg"]': ' = ["1 deg"]',
-        " --workers 2": "",
+        " --workers 2": " --no-figures",
         ", workers=2": "",
     },
     "docs/large-maps.md": {

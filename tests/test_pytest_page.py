@@ -1,53 +1,23 @@
-"""The page on pytest: its code runs, its message is what is said, its rates are those measured."""
+"""The page on pytest: its message is what is said, its rates are those measured."""
 
 from __future__ import annotations
-
-import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pandas as pd
 import plugin_rates
 import pytest
+from pages import PAGES, blocks
 from scipy.stats import binom
 
 from ekfslam.testing import assert_not_worse
 from ekfslam.testing.runs import SEEDS
 
-PAGE = (Path(__file__).parents[1] / "docs" / "pytest.md").read_text(encoding="utf-8")
+PAGE = PAGES["docs/pytest.md"]
 RATES = pd.read_csv(plugin_rates.FILE)
 METRICS = ["ate_position_rmse_m", "rpe_position_rmse_m"]
 
 
-def blocks(kind):
-    """Blocks of code of a kind, in order."""
-    return re.findall(rf"^```{kind}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-
-
-def test_what_the_page_says_runs(tmp_path):
-    """Its files in one folder, its commands one after the other."""
-    for code in blocks("python"):
-        name = code.splitlines()[0].removeprefix("# ")
-        (tmp_path / name).write_text(code)
-    words = [line.split() for block in blocks("sh") for line in block.splitlines()]
-    assert [word[0] for word in words] == ["pytest"] * 3
-    for _, *options in words:
-        command = [sys.executable, "-W", "error", "-m", "pytest", "-q", *options]
-        few = "--ekfslam-figures" in options  # the third time, some will do
-        command += ["-k", "patched"] if few else []
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stdout
-        assert ("1 passed" if few else "6 passed") in done.stdout
-    assert (tmp_path / "reference" / "filter.csv").exists()
-    command = [sys.executable, "look.py"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("ekf-ri on loop-15: nothing says that it is worse than ekf")
-
-
 def test_the_message_is_the_one_that_comes():
-    (shown,) = blocks("text")
+    (shown,) = (block.text for block in blocks(PAGE) if not block.language)
     with pytest.raises(AssertionError) as error:
         assert_not_worse("iekf", "ekf", "loop-15", metric=METRICS)
     said = f"AssertionError: {error.value}".splitlines()
