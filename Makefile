@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test docs bench reference bars rates study campaigns clean
+.PHONY: demo test docs bench notebooks reference bars rates study campaigns clean
 
 demo: $(VENV)/.installed
 	@echo "== four estimators on a simulated park and on the recorded Victoria Park =="
@@ -29,6 +29,10 @@ docs: $(VENV)/.installed
 bench: $(VENV)/.peers
 	@echo "== benchmarks: ratios measured side by side in one run =="
 	$(BIN)/python benchmarks/run.py $(PART)
+
+# Runs the notebooks and rewrites the outputs that are kept in them.
+notebooks: $(VENV)/.installed
+	$(BIN)/python tests/executed.py
 
 # Rewrites the stored tables that the accuracy tests compare with.
 reference: $(VENV)/.installed
