@@ -3,6 +3,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Processes that run the tests, file by file. One after another: make test WORKERS=0
+WORKERS := logical
 
 .PHONY: demo test docs bench notebooks reference bars rates study campaigns clean
 
@@ -18,7 +20,7 @@ test: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 4 --dist loadfile
 
 # A warning is an error. The first page is docs/_build/html/index.html.
 docs: $(VENV)/.installed

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from seeded_again import jointly
+from seeded_again import Jointly, jointly
 from textbook import MISTAKES, TextbookEkf
 
 from ekfslam import Ekf
@@ -432,3 +432,15 @@ def test_a_filter_of_ranges_and_bearings_alone_is_asked_what_it_can_answer():
     assert {rung.scenario for rung in report.rungs} == {"cloister", "loop-15-rb"}
     passed = {(rung.number, rung.scenario) for rung in report.rungs if rung.outcome == "pass"}
     assert passed == {(n, s) for n in (2, 4, 5) for s in ("cloister", "loop-15-rb")}
+
+
+def test_a_filter_that_does_not_say_that_it_is_for_ranges_and_bearings_is_told_to():
+    class Silent(Jointly):
+        kinds = None
+
+    report = check(Silent)
+    failed = {rung.scenario for rung in report.rungs if rung.outcome == "fail"}
+    assert failed == {"loop-15"}
+    first = report.findings[0]
+    assert (first.stage, first.mistakes) == ("sensor", ("view-not-read",))
+    assert 'kinds = ("range-bearing",)' in first.usually

@@ -112,6 +112,13 @@ def test_what_a_page_says_runs(page, folder, run_command, capsys):
     follow(page, run_command, capsys, SHORTER.get(page))
 
 
+def test_the_first_table_of_all_is_what_its_command_prints(folder, run_command):
+    command = "ekfslam compare park victoria-park --seed 1"
+    assert command in quoted_commands(PAGES["README.md"])
+    (table,) = (block.text for block in blocks(PAGES["README.md"]) if not block.language)
+    assert_shown(table, perform(command, run_command))
+
+
 @pytest.mark.parametrize("line", ON_DATA)
 def test_commands_on_recorded_data_run(line, folder, run_command, monkeypatch):
     """With few estimators, where the page names none."""

@@ -119,3 +119,13 @@ def test_the_command_shows_the_log(option, lines, tmp_path):
     assert run.stderr.count("ekfslam.experiments.attempts: ") == lines
     assert ("Traceback" in run.stderr) == (option == "-vv")
     assert "Raises: ValueError: no" in run.stdout
+
+
+def test_after_a_command_the_log_is_as_it_was(run_command):
+    logger = logging.getLogger("ekfslam")
+    before = list(logger.handlers), logger.level
+    for status, name in ((0, "loop-15"), (2, "nowhere")):
+        shown = run_command("-v", "compare", name, "--estimators", "dead-reckoning")
+        assert shown.status == status
+        assert shown.err.count("dead-reckoning: ok after") == (status == 0)
+        assert (list(logger.handlers), logger.level) == before

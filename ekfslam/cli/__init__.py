@@ -95,16 +95,24 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _log(times: int) -> None:
+def _log(context: typer.Context, times: int) -> None:
     """Show on standard error what the library logs; given twice, with tracebacks."""
-    if times:
-        import logging
+    if not times:
+        return
+    import logging
 
-        shown = logging.StreamHandler()
-        shown.setFormatter(logging.Formatter("%(relativeCreated)6.0f ms  %(name)s: %(message)s"))
-        logger = logging.getLogger("ekfslam")
-        logger.addHandler(shown)
-        logger.setLevel(logging.INFO if times == 1 else logging.DEBUG)
+    shown = logging.StreamHandler()
+    shown.setFormatter(logging.Formatter("%(relativeCreated)6.0f ms  %(name)s: %(message)s"))
+    logger = logging.getLogger("ekfslam")
+    before = logger.level
+    logger.addHandler(shown)
+    logger.setLevel(logging.INFO if times == 1 else logging.DEBUG)
+
+    def quiet() -> None:
+        logger.removeHandler(shown)
+        logger.setLevel(before)
+
+    context.call_on_close(quiet)  # the command may be run from Python, and more than once
 
 
 @app.callback()

@@ -145,7 +145,15 @@ def _print_findings(findings: Sequence[Finding]) -> None:
         lines = {f"{number}. {finding.stage}": finding.says, **finding.details}
         for indent, (heading, text) in enumerate(lines.items()):
             first = ("   " if indent else "") + f"{heading}: "
-            print(textwrap.fill(text, 80, initial_indent=first, subsequent_indent=5 * " "))
+            print(
+                textwrap.fill(
+                    text,
+                    80,
+                    initial_indent=first,
+                    subsequent_indent=5 * " ",
+                    break_on_hyphens=False,
+                )
+            )
     print()
 
 

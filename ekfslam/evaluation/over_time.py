@@ -97,9 +97,9 @@ def credibility(steps: pd.DataFrame) -> pd.DataFrame:
 
         gamma = 10 log10(e' P^-1 e / e' S^-1 e);
 
-    the noncredibility index (NCI) is the mean of ``|gamma|`` over the runs, the inclination indicator
-    the mean of gamma: positive where the estimator is optimistic. Ten runs or so make S mean
-    something; of three or fewer it is singular and there is no number.
+    the noncredibility index (NCI) is the mean of ``|gamma|`` over the runs, the inclination
+    indicator the mean of gamma: positive where the estimator is optimistic. Ten runs or so make S
+    mean something; of three or fewer it is singular and there is no number.
 
     Parameters
     ----------

@@ -158,10 +158,36 @@ def check(
             blank = Rung(number, name, scenario, FAIL, float("nan"), bound, "")
             found.append(_climb(blank, measure, subject, dataset, seed))
     report = Report(estimator_name(estimator), tuple(found))
-    findings = diagnose(subject)
+    findings = (*_view_not_read(report, subject, seed), *diagnose(subject))
     if report.passed:
         findings = tuple(finding for finding in findings if finding.named)
     return replace(report, findings=findings)
+
+
+def _view_not_read(report: Report, subject: Estimator, seed: int) -> tuple[Finding, ...]:
+    """That a filter takes x and y for range and bearing: seen by those, the same run is right."""
+    number, measure = 2, rungs.zero_noise
+    for rung in report.rungs:
+        if rung.number == number and rung.outcome == FAIL and rung.scenario in STAND_INS:
+            other = STAND_INS[rung.scenario]
+            instead = _climb(
+                replace(rung, scenario=other), measure, subject, simulate(other, seed=seed), seed
+            )
+            if instead.outcome == PASS:
+                return (
+                    Finding(
+                        "sensor",
+                        ("view-not-read",),
+                        f"what {rung.scenario} sees is x and y in the robot's frame, and the "
+                        "filter takes them for range and bearing",
+                        'it is for one kind of sensor and does not say so: kinds = ("range-'
+                        'bearing",) in the class, and other data are skipped, here too',
+                        "the columns of values, and which sensor they are of",
+                        f"without noise it is right on {other}, the same run seen by range and "
+                        f"bearing, and wrong on {rung.scenario}",
+                    ),
+                )
+    return ()
 
 
 def _suitable(scenario: str, subject: Estimator, seed: int) -> str:
