@@ -15,7 +15,7 @@ demo: $(VENV)/.installed
 	$(BIN)/ekfslam check ekf
 	@echo "== done: tables and figures are in results/compare =="
 
-test: $(VENV)/.installed
+test: $(VENV)/.tools
 	@echo "== lint, format, types, tests =="
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -23,7 +23,7 @@ test: $(VENV)/.installed
 	$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 4 --dist loadfile
 
 # A warning is an error. The first page is docs/_build/html/index.html.
-docs: $(VENV)/.installed
+docs: $(VENV)/.tools
 	$(BIN)/python -m sphinx -W --keep-going -q -c docs -d docs/_build/trees . docs/_build/html
 	@echo "== done: docs/_build/html/index.html =="
 
@@ -33,22 +33,22 @@ bench: $(VENV)/.peers
 	$(BIN)/python benchmarks/run.py $(PART)
 
 # Runs the notebooks and rewrites the outputs that are kept in them.
-notebooks: $(VENV)/.installed
+notebooks: $(VENV)/.tools
 	$(BIN)/python tests/executed.py
 
 # Rewrites the stored tables that the accuracy tests compare with.
-reference: $(VENV)/.installed
+reference: $(VENV)/.tools
 	$(BIN)/python tests/reference.py
 
 # Rewrites results/association-bars.csv and results/far-starts.csv: what association without
 # identities reaches, and who comes back from a wrong start.
-bars: $(VENV)/.installed
+bars: $(VENV)/.tools
 	$(BIN)/python tests/bars.py
 	$(BIN)/python tests/far_starts.py
 
 # Rewrites results/plugin-rates.csv: how often the assertions of ekfslam.testing fail, rightly and
 # not; a quarter of an hour.
-rates: $(VENV)/.installed
+rates: $(VENV)/.tools
 	$(BIN)/python tests/plugin_rates.py
 
 # Rewrites results/study-association.
@@ -68,6 +68,12 @@ $(VENV)/.installed: pyproject.toml
 	  { echo "ekfslam needs Python 3.11 or newer; try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	@echo "== setting up $(VENV) =="
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+# What the tests and the docs need: a browser driver, Sphinx, Jupyter and the like.
+$(VENV)/.tools: $(VENV)/.installed
+	@echo "== adding what the tests need =="
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
 	@touch $@
 
