@@ -43,8 +43,10 @@ def loaded():
 
 
 @pytest.fixture
-def run(pytester):
+def run(pytester, monkeypatch):
     """Run a file of tests, as a user does."""
+    for name in ("CI", "BUILD_NUMBER"):  # there pytest writes every message twice
+        monkeypatch.delenv(name, raising=False)
 
     def run(body, *options):
         pytester.makepyfile(test_mine=WORSE + body)
