@@ -15,12 +15,13 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from ekfslam import geometry as geo
-from ekfslam.checks import check_finite, checked_array, frozen, is_covariance
+from ekfslam.checks import check_finite, checked_array, frozen
+from ekfslam.contradictions import check_observations
 from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.geometry import Array
 from ekfslam.models.motion import Increments, MotionModel
 from ekfslam.models.sensors import Sensor
-from ekfslam.observations import FARTHEST, NO_LANDMARK, WIDTH, Observations, Sightings, padded
+from ekfslam.observations import NO_LANDMARK, WIDTH, Observations, Sightings, padded
 from ekfslam.robots import LandmarkMap, Prior, Robot
 from ekfslam.storage import Reader, Writer
 
@@ -129,93 +130,12 @@ class Dataset:
                     f"{len(robot.controls)} controls of {robot.name} make "
                     f"{len(robot.controls) + 1} poses, but there are {len(times)} times"
                 )
-        self._check_observations()
+        check_observations(self.observations, times, self.sensors, self.robots)
         if self.true_landmark is not None:
             column = checked_array(
                 self.true_landmark, np.int64, (len(self.observations),), "true_landmark"
             )
             object.__setattr__(self, "true_landmark", column)
-
-    def _check_observations(self) -> None:
-        o = self.observations
-        self._check_range(o.step, len(self.times), "step", "pose")
-        self._check_range(o.sensor, len(self.sensors), "sensor", "sensor")
-        self._check_range(o.robot, len(self.robots), "robot", "robot")
-        if o.observed_robot is not None:
-            self._check_range(o.observed_robot, len(self.robots), "observed_robot", "robot", -1)
-            for name, bad in (
-                ("the robot itself", o.observed_robot == o.robot),
-                ("a robot and a landmark", (o.observed_robot >= 0) & (o.landmark >= 0)),
-            ):
-                if bad.any():
-                    raise InputError(f"observations show {name} in row {np.flatnonzero(bad)[0]}")
-        below = np.flatnonzero(o.landmark < NO_LANDMARK)
-        if len(below):
-            raise InputError(
-                f"observations.landmark is {o.landmark[below[0]]} in row {below[0]}; "
-                f"{NO_LANDMARK} stands for an unknown identity"
-            )
-        back = np.flatnonzero(np.diff(o.step) < 0)
-        if len(back):
-            raise InputError(f"observations.step goes back at row {back[0] + 1}; sort by step")
-        for index, sensor in enumerate(self.sensors):
-            mine = o.sensor == index
-            if sensor.view.size == 1 and o.values[mine, 1].any():
-                raise InputError(
-                    f"{sensor.name} reports one number: the second column of "
-                    "observations.values must be 0 in its rows"
-                )
-            if sensor.view.names[0] == "range":
-                negative = np.flatnonzero(mine & (o.values[:, 0] < self._least_range(sensor)))
-                if len(negative):
-                    raise InputError(
-                        f"negative range {o.values[negative[0], 0]} in row {negative[0]} "
-                        f"of the observations of {sensor.name}"
-                    )
-        if o.covariance is not None:
-            bad = np.flatnonzero(~is_covariance(o.covariance))
-            if len(bad):
-                raise InputError(
-                    f"observations.covariance of row {bad[0]} is not positive semi-definite"
-                )
-        self._check_twice()
-
-    def _least_range(self, sensor: Sensor) -> float:
-        """What noise can make of a short range; a range alone has no direction to be behind."""
-        if sensor.view.size == 1:
-            return 0.0
-        variance = sensor.covariances(np.zeros((1, 2)))[0, 0, 0]
-        if self.observations.covariance is not None:
-            variance = self.observations.covariance[:, 0, 0].max(initial=variance)
-        return -FARTHEST * float(np.sqrt(variance))
-
-    @staticmethod
-    def _check_range(column: np.ndarray, count: int, name: str, what: str, least: int = 0) -> None:
-        bad = np.flatnonzero((column < least) | (column >= count))
-        if len(bad):
-            there = f"there are {count} {what}s" + (f" (0 to {count - 1})" if count else "")
-            raise InputError(
-                f"observations.{name} is {column[bad[0]]} in row {bad[0]}, but {there}"
-            )
-
-    def _check_twice(self) -> None:
-        """One sensor cannot see the same landmark twice at the same instant."""
-        o = self.observations
-        known = np.flatnonzero((o.landmark >= 0) | (self.observed_robot >= 0))
-        _, instant = np.unique(self.observation_times, return_inverse=True)
-        key = np.column_stack(
-            [o.robot, o.sensor, o.landmark, self.observed_robot, o.step, instant]
-        )[known]
-        _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
-        if (count > 1).any():
-            row = known[first[np.flatnonzero(count > 1)[0]]]
-            what = f"landmark {o.landmark[row]}"
-            if self.observed_robot[row] >= 0:
-                what = f"robot {self.observed_robot[row]}"
-            raise InputError(
-                f"{what} is observed twice at the same instant by sensor "
-                f"{self.sensors[o.sensor[row]].name} (step {o.step[row]}, row {row})"
-            )
 
     # What estimators and evaluation read ----------------------------------------------------
 

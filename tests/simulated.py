@@ -13,6 +13,27 @@ from ekfslam.models.motion import MotionModel
 from ekfslam.simulation import RobotPlan, Scenario, SensorPlan, simulate
 
 
+def past_points(what: str, points: list[list[float]], steps: int, turn: float = 0.0) -> str:
+    """A scenario that is quick to run, as TOML: a robot that sees points by range and bearing."""
+    return f"""
+description = "{what}"
+[world]
+kind = "points"
+landmarks = {points}
+[path]
+kind = "controls"
+start = [0, 0, 0]
+controls = [[0.2, {turn}]]
+repeat = {steps}
+[motion]
+kind = "advance-turn"
+sigmas = [0.02, "1 deg"]
+[[sensors]]
+kind = "range-bearing"
+sigmas = [0.1, "2 deg"]
+"""
+
+
 @cache
 def drawn(name: str) -> Dataset:
     """A run of a named scenario, the same in all tests."""

@@ -32,6 +32,7 @@ FLOORS: dict[int, tuple[tuple[str, ...], ...]] = {
     3: (
         (
             "ekfslam.observations",
+            "ekfslam.contradictions",
             "ekfslam.robots",
             "ekfslam.dataset",
             "ekfslam.own_models",

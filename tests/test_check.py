@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from seeded_again import Jointly, jointly
+from simulated import past_points
 from textbook import MISTAKES, TextbookEkf
 
 from ekfslam import Ekf
@@ -19,23 +20,11 @@ from ekfslam.validation import check
 
 # Small, so that the textbook's dense filter is fast; and with bearings that jump between pi and
 # -pi at any noise, which only a wrap at every difference survives.
-ASTERN = """
-description = "Straight on, with two landmarks astern."
-[world]
-kind = "points"
-landmarks = [[-2, 0], [-5, 0], [3, 3], [6, -4], [12, 3]]
-[path]
-kind = "controls"
-start = [0, 0, 0]
-controls = [[0.2, 0]]
-repeat = 40
-[motion]
-kind = "advance-turn"
-sigmas = [0.02, "1 deg"]
-[[sensors]]
-kind = "range-bearing"
-sigmas = [0.1, "2 deg"]
-"""
+ASTERN = past_points(
+    "Straight on, with two landmarks astern.",
+    [[-2, 0], [-5, 0], [3, 3], [6, -4], [12, 3]],
+    steps=40,
+)
 
 # Which rungs find it. Rungs 1 and 3 read the filter's own linearisations; rung 5 needs none.
 CAUGHT = {

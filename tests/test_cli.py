@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 import typer
 from pages import check_command
+from simulated import past_points
 
 import ekfslam
 from ekfslam.cli import app
@@ -47,23 +48,9 @@ def command(folder, run_command):
     return run
 
 
-SMALL = """
-description = "Straight on past five landmarks."
-[world]
-kind = "points"
-landmarks = [[2, 1], [3, -2], [4, 3], [6, -4], [9, 3]]
-[path]
-kind = "controls"
-start = [0, 0, 0]
-controls = [[0.2, 0]]
-repeat = 12
-[motion]
-kind = "advance-turn"
-sigmas = [0.02, "1 deg"]
-[[sensors]]
-kind = "range-bearing"
-sigmas = [0.1, "2 deg"]
-"""
+SMALL = past_points(
+    "Straight on past five landmarks.", [[2, 1], [3, -2], [4, 3], [6, -4], [9, 3]], steps=12
+)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ import pytest
 import seeded
 import seeded_again
 from seeded import EXPECTED, MORE, TEN, Homework, homework
+from simulated import past_points
 from textbook import TextbookEkf
 
 from ekfslam.cli.printing import print_report
@@ -236,7 +237,7 @@ def test_a_mistake_in_a_variant_is_named_to_first_order():
 def test_a_gate_that_makes_sense_is_no_mistake(probability):
     (found,) = diagnose(f"ekf(known_gate={probability})")
     assert not found.named
-    assert f"{100 * probability:.3g} % of right ones" in found.says
+    assert f"where {100 * (1 - probability):.2g} % of right ones are" in found.says
 
 
 @pytest.mark.parametrize("method", ["nearest", "global", "joint"])
@@ -316,23 +317,7 @@ def test_who_cannot_be_judged_is_not_accused():
         diagnose("efk")
 
 
-SMALL = """
-description = "A few steps."
-[world]
-kind = "points"
-landmarks = [[3, 3], [6, -4], [9, 3]]
-[path]
-kind = "controls"
-start = [0, 0, 0]
-controls = [[0.2, 0.05]]
-repeat = 15
-[motion]
-kind = "advance-turn"
-sigmas = [0.02, "1 deg"]
-[[sensors]]
-kind = "range-bearing"
-sigmas = [0.1, "2 deg"]
-"""
+SMALL = past_points("A few steps.", [[3, 3], [6, -4], [9, 3]], steps=15, turn=0.05)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from simulated import past_points
 from stepwise import assert_same_bits, online
 from textbook import TextbookEkf, first_poses, two_sensors
 
@@ -15,12 +16,13 @@ from ekfslam import geometry as geo
 from ekfslam.dataset import LandmarkMap, Observations, Prior, Sightings
 from ekfslam.errors import InputError
 from ekfslam.estimates import DIVERGED, Decision, Estimate
-from ekfslam.filters import engine
+from ekfslam.filters import engine, gaussian_map
 from ekfslam.filters.ekf import Ekf
 from ekfslam.filters.gaussian_map import GaussianMap
 from ekfslam.filters.online import EkfSlam
 from ekfslam.filters.options import UPDATES
 from ekfslam.models.sensors import Sensor
+from ekfslam.observations import WIDTH
 from ekfslam.simulation import load_scenario, simulate
 
 TURN = np.array([50.0, -30.0, 2.0])
@@ -432,3 +434,18 @@ def test_what_failed_leaves_no_landmarks_behind():
     slam._engine.slam.arrays.covariance[:7, :7] = before[:7, :7]
     slam.observe(look([5, 0], [30, 2]))
     assert len(slam.landmarks) == 3
+
+
+@pytest.mark.parametrize("update", UPDATES)
+def test_a_look_may_show_more_than_the_workspace_has_room_for(tmp_path, update):
+    """Sixty landmarks at every step: first all new, then all at once in a correction."""
+    grid = [[3.0 + 2 * i, 2.0 * j + 1] for i in range(6) for j in range(-5, 5)]
+    path = tmp_path / "grid.toml"
+    path.write_text(past_points("A grid ahead.", grid, steps=6, turn=0.02))
+    dataset = simulate(load_scenario(path), seed=1)
+    assert np.bincount(dataset.observations.step).max() > 2 * gaussian_map.AT_ONCE / WIDTH
+    estimate, textbook = Ekf(update=update).estimate(dataset), TextbookEkf(update=update)
+    expected = textbook.estimate(dataset)
+    np.testing.assert_allclose(estimate.online.poses, expected.online.poses, atol=1e-9)
+    np.testing.assert_allclose(estimate.joint_covariance, expected.joint_covariance, atol=1e-9)
+    assert_same_bits(estimate, dataset, update=update)

@@ -20,11 +20,11 @@ from scipy import stats
 
 from ekfslam.errors import FileFormatError, InputError
 from ekfslam.evaluation import tables
+from ekfslam.evaluation.statistics import share_interval
 from ekfslam.experiments import compare, read_campaign, run_campaign
 from ekfslam.geometry import ellipse
 from ekfslam.plots.style import looks
 from ekfslam.report import write_report
-from ekfslam.report.campaign import share_interval
 from ekfslam.report.maps import STOPS, UNITS
 from ekfslam.report.words import digits, seeds_in_words
 

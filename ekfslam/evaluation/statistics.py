@@ -1,10 +1,10 @@
-"""Chi-square intervals and the share of samples inside them."""
+"""Chi-square intervals and the share of samples inside them; intervals of shares."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import gammaincinv
+from scipy.special import betaincinv, gammaincinv
 
 from ekfslam.errors import InputError
 from ekfslam.geometry import Array
@@ -72,6 +72,19 @@ def share_inside(values: ArrayLike, dof: ArrayLike, probability: float = 0.95) -
     kept, (dofs, which) = values[counts], np.unique(dof[counts], return_inverse=True)
     low, high = chi2_interval(dofs, probability)
     return float(np.mean((kept >= low[which]) & (kept <= high[which])))
+
+
+def share_interval(count: int, of: int) -> tuple[float, float]:
+    """Exact two-sided 95 % interval of a probability (Clopper and Pearson 1934).
+
+    Parameters
+    ----------
+    count, of : int
+        How often something happened, of so many independent trials, at least one.
+    """
+    low = float(betaincinv(count, of - count + 1, 0.025)) if count else 0.0
+    high = float(betaincinv(count + 1, of - count, 0.975)) if count < of else 1.0
+    return low, high
 
 
 def mean(values: ArrayLike) -> float:

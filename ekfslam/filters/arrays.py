@@ -40,21 +40,21 @@ class Points(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """What a correction writes to and nobody reads after it.
-
-    See `ekfslam.filters.ekf_slam.correct_with`.
+    """What a correction writes to and nobody reads after it; see `ekfslam.filters.ekf_slam.update`.
 
     Attributes
     ----------
-    rows : (m, width) ndarray
+    rows : (m, capacity) ndarray
         H P, then W, where they do not wait.
     S : (m, m), innovation : (m,), step : (capacity,) ndarray
     H : (m, 2, 7) ndarray
         Of each observation, with respect to pose and target.
-    places, sizes, which : (m,) ndarray of int
+    targets : (3, m) ndarray of int
         Offset and size of each target, and its row among the observations.
-    point : (6,), seen : (2,) ndarray
-        Of one observation: where it is linearised, and its innovation.
+    one : (8,) ndarray
+        Of one observation: where it is linearised (6,), and its innovation (2,).
+    wanted : (1,) ndarray of int
+        Rows that a step wants for which there is no room.
     """
 
     rows: Array
@@ -62,27 +62,22 @@ class Workspace(NamedTuple):
     innovation: Array
     step: Array
     H: Array
-    places: np.ndarray
-    sizes: np.ndarray
-    which: np.ndarray
-    point: Array
-    seen: Array
+    targets: np.ndarray
+    one: Array
+    wanted: np.ndarray
 
     @classmethod
-    def of(cls, rows: int, width: int, capacity: int) -> Workspace:
-        """Room for corrections of so many rows; `width` is that of the rows themselves."""
-        places, sizes, which = (np.empty(rows, dtype=np.int64) for _ in range(3))
+    def of(cls, rows: int, capacity: int) -> Workspace:
+        """Room for corrections of so many rows."""
         return cls(
-            np.empty((rows, width)),
+            np.empty((rows, capacity)),
             np.empty((rows, rows)),
             np.empty(rows),
             np.empty(capacity),
             np.empty((rows, 2, 7)),
-            places,
-            sizes,
-            which,
-            np.empty(6),
-            np.empty(2),
+            np.empty((3, rows), dtype=np.int64),
+            np.empty(8),
+            np.zeros(1, dtype=np.int64),
         )
 
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from ekfslam.compiled import compiled, inlined, lean, now
 from ekfslam.estimates import Decision
-from ekfslam.filters.arrays import Workspace
 from ekfslam.filters.delayed import delays, exact_rows, make_place, reduce_large
 from ekfslam.filters.initiation import extend
 from ekfslam.filters.kernels import downdate, move, project, solve, times_transposed
@@ -31,6 +30,7 @@ from ekfslam.filters.variants import (
 )
 from ekfslam.filters.variants.iterated import foresee_again, iterate
 from ekfslam.filters.variants.robocentric import compose
+from ekfslam.observations import WIDTH
 
 ACCEPTED, REJECTED = int(Decision.ACCEPTED), int(Decision.REJECTED)
 DONE, GROW, INDEFINITE, LOOK = range(4)
@@ -48,7 +48,7 @@ def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, l
     for k in range(start, stop):
         begin = now()
         first, last = offsets[k], offsets[k + 1]
-        if not has_room(slam, register, last - first, settings):
+        if not has_room(slam, register, sightings, first, last, settings):
             return k, GROW
         if other is None or settings.variant in AT_ESTIMATES:
             predict(slam, deltas[:, k], Qs[:, k])
@@ -77,13 +77,32 @@ def run(start, stop, deltas, Qs, offsets, sightings, slam, register, settings, l
 
 
 @inlined
-def has_room(slam, register, rows, settings):  # type: ignore[no-untyped-def]
-    """Whether the map and the register have room for a step with so many observations."""
+def has_room(slam, register, sightings, first, last, settings):  # type: ignore[no-untyped-def]
+    """Whether map, register and workspace have room for a step with such observations."""
     # A step adds at most what its observations add, and a past pose of each robot.
-    needed = slam.size[0] + settings.largest * rows + POSE * settings.poses
+    needed = slam.size[0] + settings.largest * (last - first) + POSE * settings.poses
     if min(needed, settings.most) > slam.mean.size:
         return False
-    return settings.method == KNOWN or register.used[0] + rows <= register.offsets.size
+    most = WIDTH * (last - first if settings.joint else 1)
+    if most > slam.workspace.innovation.size and settings.plain:
+        most = WIDTH * mapped_at_most(register, sightings, first, last)
+    slam.workspace.wanted[0] = most
+    if most > slam.workspace.innovation.size:
+        return False
+    return settings.method == KNOWN or register.used[0] + last - first <= register.offsets.size
+
+
+@inlined
+def mapped_at_most(register, sightings, first, last):  # type: ignore[no-untyped-def]
+    """How many sightings of a step can correct at once: not what a single look shows newly."""
+    if sightings.look[first] != sightings.look[last - 1]:
+        return last - first
+    count = 0
+    for i in range(first, last):
+        index = sightings.landmark[i]
+        if sightings.target[i] >= 0 or (index >= 0 and register.offsets[index] >= 0):
+            count += 1
+    return count
 
 
 @inlined
@@ -137,58 +156,22 @@ def end_of_look(sightings, first, last):  # type: ignore[no-untyped-def]
     return end
 
 
-@lean
+@inlined
 def update(slam, register, sightings, first, last, settings, log, other):  # type: ignore[no-untyped-def]
     """Correct with what is seen again, jointly or one after another (Solà, 2.3.3).
 
-    Not with observations of a bank of hypotheses, which weighs for itself. Returns the squared
-    Mahalanobis norm of the innovations, NaN if their covariance was not positive definite, and how
-    many rows they have.
+    Not with observations of a bank of hypotheses, which weighs for itself. The workspace must be
+    large enough, see `has_room` and `GaussianMap.widen`. Returns the squared Mahalanobis norm of
+    the innovations, NaN if their covariance was not positive definite, and how many rows they have.
     """
     accepted, sizes = 0, register.sizes
     for i in range(first, last):
         index = log.landmark[i]
         if log.decision[i] == ACCEPTED and (index < 0 or sizes[index] != BANKED):
             accepted += 1
-    if accepted == 0:
-        if other is not None and settings.variant == ROBOCENTRIC:
-            compose(slam.mean, slam.covariance, slam.size[0])
-        return 0.0, 0
-    look = sightings, first, last
+    total, dof, start = 0.0, 0, first if accepted > 0 else last
+    n, variant, workspace = slam.size[0], settings.variant, slam.workspace
     most = rows_of(sightings.kind[first]) * (accepted if settings.joint else 1)
-    workspace, n = slam.workspace, slam.size[0]
-    enough = n <= workspace.rows.shape[1] or delays(slam, most, settings)
-    if not enough or most > workspace.innovation.size:
-        return correct_widely(slam, register, *look, most, settings, log, other)
-    return correct_with(slam, register, *look, most, settings, log, other, workspace)
-
-
-@compiled
-def correct_widely(slam, register, sightings, first, last, most, settings, log, other):  # type: ignore[no-untyped-def]
-    """Correct with more rows than the workspace of the map has."""
-    workspace = Workspace(
-        np.empty((most, slam.size[0])),
-        np.empty((most, most)),
-        np.empty(most),
-        np.empty(slam.size[0]),
-        np.empty((most, 2, 7)),
-        np.empty(most, np.int64),
-        np.empty(most, np.int64),
-        np.empty(most, np.int64),
-        np.empty(6),
-        np.empty(2),
-    )
-    look = sightings, first, last
-    return correct_with(slam, register, *look, most, settings, log, other, workspace)
-
-
-@lean
-def correct_with(  # type: ignore[no-untyped-def]
-    slam, register, sightings, first, last, most, settings, log, other, workspace
-):
-    """Correct with up to `most` rows at once; see `update`."""
-    total, dof, start = 0.0, 0, first
-    n, variant = slam.size[0], settings.variant
     S, z, step, rows = workspace.S, workspace.innovation, workspace.step, workspace.rows
     large = n >= settings.delay_from
     waits = large and delays(slam, most, settings)
@@ -270,8 +253,14 @@ def stack(  # type: ignore[no-untyped-def]
     kind, mount, pose = sightings.kind[first], sightings.mount[first], POSE * sightings.robot[first]
     d, variant = rows_of(kind), settings.variant
     sensor = placed(mount, mean[pose : pose + POSE])
-    S, z, H, point = workspace.S, workspace.innovation, workspace.H, workspace.point
-    nu, places, sizes, which = workspace.seen, workspace.places, workspace.sizes, workspace.which
+    S, z, H, point, nu = (
+        workspace.S,
+        workspace.innovation,
+        workspace.H,
+        workspace.one[:6],
+        workspace.one[6:],
+    )
+    places, sizes, which = workspace.targets[0], workspace.targets[1], workspace.targets[2]
     m = 0
     for i in range(first, last):
         if decision[i] != ACCEPTED:

@@ -229,6 +229,7 @@ class Engine:
                 start, why = self._plainly(start, stop, moves, offsets, sightings, log)
                 if why == GROW:
                     self.make_room(int(offsets[start + 1] - offsets[start]))
+                    self.slam.widen(int(self.slam.arrays.workspace.wanted[0]))
                 elif why == LOOK:
                     begin = now()
                     first, last = int(offsets[start]), int(offsets[start + 1])
@@ -274,6 +275,7 @@ class Engine:
     def observe(self, sightings: Sightings, log: Log) -> bool:
         """All observations of one step; whether innovation covariances were positive definite."""
         log.nis[0] = 0.0
+        self.slam.widen(WIDTH * len(sightings.values))
         with on_threads(self.threads):
             return self._observe(sightings, 0, len(sightings.values), 0, log, Journal.of(0))
 

@@ -12,11 +12,11 @@ from ekfslam.dataset import Prior
 from ekfslam.errors import EkfslamError, InputError
 from ekfslam.filters import kernels, triangle
 from ekfslam.filters.arrays import MapArrays, Points, Workspace
-from ekfslam.filters.delayed import FROM, bring_up_to_date, room_for
+from ekfslam.filters.delayed import bring_up_to_date, room_for
 from ekfslam.filters.measure import POINT, POSE
 from ekfslam.geometry import Array
 
-AT_ONCE = 32  # rows of a correction that need no memory of their own
+AT_ONCE = 32  # rows of a correction that there is room for to begin with
 ASK_FROM = 5000  # coordinates from which memory is asked for first
 
 
@@ -36,11 +36,6 @@ def check_covariance_fits(size: int) -> None:
     if size >= ASK_FROM:
         what = f"the covariance of {size // POINT} landmarks"
         check_fits(8 * size**2, what, "take fewer landmarks, or a machine with more memory")
-
-
-def _workspace(late: int, capacity: int) -> Workspace:
-    """Room for the usual corrections; those of a large map stand where they wait."""
-    return Workspace.of(AT_ONCE, min(capacity, FROM) if late else capacity, capacity)
 
 
 class GaussianMap:
@@ -75,7 +70,7 @@ class GaussianMap:
             Points.of(capacity),
             np.zeros((room_for(late, capacity), capacity)),
             np.array([0], dtype=np.int64),
-            _workspace(late, capacity),
+            Workspace.of(AT_ONCE, capacity),
         )
         for robot, prior in enumerate(priors):
             at = slice(POSE * robot, POSE * robot + POSE)
@@ -151,8 +146,14 @@ class GaussianMap:
             covariance=covariance,
             points=points,
             late=late,
-            workspace=_workspace(self.late, capacity),
+            workspace=Workspace.of(len(self.arrays.workspace.rows), capacity),
         )
+
+    def widen(self, rows: int) -> None:
+        """Enlarge the workspace, if need be, for a correction with so many rows."""
+        if rows > len(self.arrays.workspace.rows):
+            workspace = Workspace.of(rows, len(self.arrays.mean))
+            self.arrays = self.arrays._replace(workspace=workspace)
 
     def move(self, increment: Array, covariance: Array, robot: int = 0) -> None:
         """Robot motion.

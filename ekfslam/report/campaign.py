@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pandas as pd
-from scipy.special import betaincinv, stdtrit
+from scipy.special import stdtrit
 
 from ekfslam.estimates import OK
-from ekfslam.evaluation.statistics import chi2_interval
+from ekfslam.evaluation.statistics import chi2_interval, share_interval
 from ekfslam.report.comparison import Finding, Group, by_side, called
 from ekfslam.report.folder import CampaignFolder
 from ekfslam.report.tables import Column, Table, complete, selected
@@ -179,13 +179,6 @@ def _diverged(rows: pd.DataFrame) -> Iterator[Finding]:
             "of the share.",
             tuple(items),
         )
-
-
-def share_interval(count: int, of: int) -> tuple[float, float]:
-    """Exact two-sided 95 % interval of a share (Clopper and Pearson 1934)."""
-    low = float(betaincinv(count, of - count + 1, 0.025)) if count else 0.0
-    high = float(betaincinv(count + 1, of - count, 0.975)) if count < of else 1.0
-    return low, high
 
 
 def _run_nees(rows: pd.DataFrame) -> Iterator[Finding]:

@@ -36,7 +36,7 @@ from ekfslam.validation.matching import (
     in_some_style,
     own_noise,
 )
-from ekfslam.validation.mistakes import GATE, LINES
+from ekfslam.validation.mistakes import GATE, LINES, MOUNT
 from ekfslam.validation.probes import ANGULAR, NOISE, PROBES, Probe, with_last
 from ekfslam.validation.suspects import Answer, run
 
@@ -118,8 +118,8 @@ def diagnose(estimator: str | Any) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        In the order of the stages of a filter. Empty for a right filter, and for what cannot be
-        judged: smoothers without an online series, filters of particles.
+        In the order of the stages of a filter, the mount last. Empty for a right filter, and for
+        what cannot be judged: smoothers without an online series, filters of particles.
 
     Raises
     ------
@@ -154,8 +154,9 @@ class _Trial:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """All there are."""
-        return (*self._named(), *self.unnamed.values(), *self.gate)
+        """All there are; what only mounted sensors bring out stands last."""
+        found = (*self._named(), *self.unnamed.values(), *self.gate)
+        return tuple(sorted(found, key=lambda finding: finding.stage == MOUNT))
 
     def climbed(self) -> _Trial:
         """After all probes; those that go through a stage that is wrong would say nothing new."""
@@ -315,14 +316,15 @@ def _off(case: Case, gap: Gap) -> str:
 def _of_gate(gate: Gate) -> Finding:
     """What a gate means; it has a name only if it is the root or the square of a usual one."""
     beyond = f"it rejects sightings beyond a squared distance of {gate.threshold:.4g}"
-    inside = f"where {100 * gate.probability:.3g} % of right ones are inside"
+    # Of nearly all, the share inside would be rounded to all.
+    lost = f"where {100 * (1.0 - gate.probability):.2g} % of right ones are"
     confused = gate.confused()
     if confused is None:
         others = ", ".join(f"{each:.3g}" for each in gate.squared)
         return Finding(
             GATE,
             (),
-            f"{beyond}, {inside}: what is rejected is missing in the answer",
+            f"{beyond}, {lost}: what is rejected is missing in the answer",
             "",
             "the gate, if there need be one where identities are known",
             f"rejected in three directions from squared Mahalanobis distances of {others}",
@@ -336,7 +338,7 @@ def _of_gate(gate: Gate) -> Finding:
     return Finding(
         GATE,
         (name,),
-        f"the filter holds the {side} quantile of squared distances: {beyond}, {inside}",
+        f"the filter holds the {side} quantile of squared distances: {beyond}, {lost}",
         f"squared against unsquared: {gate.threshold:.4g} is the {what} of {usual:.4g}",
         "the gate: nu' S^-1 nu, which is squared, against a chi-square quantile",
         "measured by moving one sighting away until it no longer counts",

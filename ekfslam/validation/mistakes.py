@@ -72,3 +72,54 @@ LINES = {
     ANGLES: INNOVATION,
     MOUNT: FRAME,
 }
+
+
+def of_noise(which: str, stage: str, what: str, look: str) -> tuple[Mistake, ...]:
+    """What can go wrong with a noise covariance."""
+    forms = (f"{which}-squared",), (f"{which}-squared-whole",)
+    return (
+        Mistake(
+            f"{which}-forgotten",
+            stage,
+            f"takes {what} for zero",
+            "the noise is not passed on, or multiplied by something that is zero",
+            look,
+        ),
+        Mistake(
+            f"{which}-root",
+            stage,
+            f"uses standard deviations where {what} has variances",
+            "a square is missing: diag(sigma) for diag(sigma**2)",
+            look,
+        ),
+        Mistake(
+            f"{which}-squared",
+            stage,
+            f"squares {what}, which holds variances already",
+            "what is given was taken for standard deviations",
+            look,
+            forms,
+        ),
+        Mistake(
+            f"{which}-diagonal",
+            stage,
+            f"uses the diagonal of {what} alone",
+            "noise that is correlated was not thought of",
+            look,
+        ),
+        Mistake(
+            f"{which}-swapped",
+            stage,
+            f"has the entries of {what} in another order",
+            "rows in the order bearing, range; or theta, y, x",
+            look,
+        ),
+        Mistake(
+            f"{which}-scaled",
+            stage,
+            f"uses {{:.6g}} times {what}",
+            "added twice, halved, or scaled by a time step or by a hand-tuned factor",
+            look,
+            fitted=True,
+        ),
+    )
