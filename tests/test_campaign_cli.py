@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 
 import pytest
 
@@ -116,6 +117,17 @@ def test_a_summary_of_what_is_there(command, tmp_path):
         path.unlink()
     partial = command("summary", "out", "--no-figures")
     assert partial.out.startswith("3 of 12 cells are done; this is what they say\n")
+
+
+def test_tables_of_runs_that_are_gone_stay(command, tmp_path):
+    """As in a repository that keeps the tables alone."""
+    command("campaign", "mine.toml", "--out", "out", "--no-figures")
+    shutil.rmtree(tmp_path / "out" / "runs")
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.csv")}
+    shown = command("summary", "out", "--json")
+    assert (shown.status, shown.out) == (2, "")
+    assert "its tables are of runs that are not here, and would be lost" in shown.err
+    assert before == {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.csv")}
 
 
 def test_figures_of_an_earlier_state_go(command, tmp_path):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from ekfslam.errors import FileFormatError
+from ekfslam.errors import FileFormatError, InputError
 from ekfslam.evaluation.monte_carlo import summarise
 from ekfslam.evaluation.over_time import nees_over_time
 from ekfslam.evaluation.paired import PAIRS, compare_pairs
@@ -125,8 +125,14 @@ class CampaignResults:
         Raises
         ------
         InputError
-            If the folder cannot be written to.
+            If the folder cannot be written to, or if it has tables of runs that it does not keep
+            any more: these would be lost.
         """
+        if not self.cells[0] and _holds_rows(self.folder / "summary.csv"):
+            raise InputError(
+                f"{self.folder}: its tables are of runs that are not here, and would be lost; "
+                f"ekfslam report {self.folder} shows them, ekfslam campaign makes the runs anew"
+            )
         written = write_together(self.folder, lambda place: self._write(place, figures))
         if figures:  # of an earlier state, and not of this one
             for path in set(filter(_is_figure, self.folder.iterdir())).difference(written):
@@ -178,6 +184,11 @@ class CampaignResults:
 
     def _repr_html_(self) -> str:
         return self.summary.to_html(index=False, na_rep="")
+
+
+def _holds_rows(path: Path) -> bool:
+    """Whether a CSV is there and has more than its header."""
+    return path.exists() and len(path.read_bytes().splitlines()) > 1
 
 
 def read_campaign(folder: str | Path) -> CampaignResults:
