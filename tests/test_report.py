@@ -26,7 +26,7 @@ from ekfslam.geometry import ellipse
 from ekfslam.plots.style import looks
 from ekfslam.report import write_report
 from ekfslam.report.maps import STOPS, UNITS
-from ekfslam.report.words import digits, seeds_in_words
+from ekfslam.report.words import digits, interval, plus_minus, seeds_in_words
 
 ROOT = Path(__file__).parents[1]
 LIMIT = 5e6  # bytes
@@ -242,7 +242,11 @@ def test_findings_of_a_campaign_are_those_of_its_tables(campaign, campaign_page)
             )
             low, high = stats.t.interval(0.95, count - 1, mean, error)
             placed = "above 3" if low > 3 else "below 3" if high < 3 else "3 is inside"
-            words = f"{row['estimator']} {digits(mean)} ± {error:.2g} [{low:.3g}, {high:.3g}]"
+            words = f"{row['estimator']} {digits(mean)} ± {error:.2g}"
+            if low < 0:
+                placed = "no interval"
+            else:
+                words += f" [{low:.3g}, {high:.3g}]"
             assert any(line.startswith(placed) and words in line for line in said)
         low, high = row["final_nees_low_95"], row["final_nees_high_95"]
         value = row["final_nees_pose_mean"]
@@ -262,14 +266,15 @@ def test_an_interval_around_3_is_told_from_both_sides(campaign, tmp_path):
     place = tmp_path / "csv"
     place.mkdir()
     results = read_campaign(campaign)
-    names = ["low", "fair", "high"]
+    names = ["low", "fair", "high", "wild"]
     config = dict(results.config, estimators={name: name for name in names})
     (place / "config.json").write_text(json.dumps(config))
-    summary = results.summary.iloc[:3].copy()
+    summary = results.summary.iloc[[0, 1, 2, 2]].copy()
     summary["estimator"] = names
-    summary["run_nees_pose_mean"], summary["run_nees_pose_se"] = [2.0, 3.2, 4.0], 0.3
+    summary["run_nees_pose_mean"] = [2.0, 3.2, 4.0, 1085.0]
+    summary["run_nees_pose_se"] = [0.3, 0.3, 0.3, 613.0]
     summary["nees_runs"] = summary["runs"] = 101
-    summary["diverged"] = [0, 4, 101]
+    summary["diverged"] = [0, 4, 101, 15]
     summary.to_csv(place / "summary.csv", index=False)
     results.pairs.iloc[:0].to_csv(place / "pairs.csv", index=False)
     results.nees_over_time.iloc[:0].to_csv(place / "nees_over_time.csv", index=False)
@@ -278,9 +283,23 @@ def test_an_interval_around_3_is_told_from_both_sides(campaign, tmp_path):
     assert "above 3: high 4 ± 0.3 [3.4, 4.6]" in said
     assert "3 is inside: fair 3.2 ± 0.3 [2.6, 3.8]" in said
     assert "below 3: low 2 ± 0.3 [1.4, 2.6]" in said
+    assert any(re.fullmatch("no interval.* below 0.*: wild 1085 ± 610", line) for line in said)
     assert "none of 101 (at most 3.59 %): low" in said
     assert "fair: 4 of 101 (3.96 %, 1.09 % to 9.83 %)" in said
     assert "Statistics are those of the CSV files: the runs themselves are not here." in said
+
+
+def test_numbers_are_read_without_powers_of_ten():
+    assert plus_minus(4514.0, 1883.0) == "4514 ± 1900"
+    assert interval(-132.4, 8253.0) == "[-132, 8250]"
+    assert plus_minus(5.61e8, 4.84e8) == "5.61e+08 ± 4.8e+08"
+
+
+def test_the_configuration_has_numbers_on_one_line_and_is_the_same(campaign, campaign_page):
+    _, page = campaign_page
+    (kept,) = page.of("pre")
+    assert json.loads(kept) == json.loads((campaign / "config.json").read_text())
+    assert '"seeds": [0, 1, 2, 3, 4, 5, 6, 7]' in kept
 
 
 @pytest.mark.parametrize(("count", "of"), [(0, 1), (0, 50), (3, 50), (50, 50), (1, 2)])

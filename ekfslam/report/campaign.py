@@ -183,13 +183,18 @@ def _diverged(rows: pd.DataFrame) -> Iterator[Finding]:
 
 def _run_nees(rows: pd.DataFrame) -> Iterator[Finding]:
     some = rows[rows["run_nees_pose_se"].notna() & (rows["nees_runs"] > 1)]
-    sides: dict[str, list[str]] = {"above 3": [], "3 is inside": [], "below 3": []}
+    vague = "no interval, since it would reach below 0, which no NEES does: few runs make the mean"
+    sides: dict[str, list[str]] = {"above 3": [], "3 is inside": [], "below 3": [], vague: []}
     for _, row in some.iterrows():
         mean, error = row["run_nees_pose_mean"], row["run_nees_pose_se"]
         reach = float(stdtrit(int(row["nees_runs"]) - 1, 0.975)) * error
         low, high = mean - reach, mean + reach
+        told = f"{called(rows, row)} {plus_minus(mean, error)}"
+        if low < 0:
+            sides[vague].append(told)
+            continue
         side = "above 3" if low > 3 else "below 3" if high < 3 else "3 is inside"
-        sides[side].append(f"{called(rows, row)} {plus_minus(mean, error)} {interval(low, high)}")
+        sides[side].append(f"{told} {interval(low, high)}")
     if len(some):
         yield Finding(
             "Mean NEES of the pose along a run, expected 3: mean over the runs ± standard error, "

@@ -12,7 +12,7 @@ from ekfslam.evaluation.statistics import chi2_interval
 from ekfslam.experiments.compare import REFERENCE
 from ekfslam.report.folder import ComparisonFolder
 from ekfslam.report.tables import Column, Table, complete, selected
-from ekfslam.report.words import digits, interval, known, listed
+from ekfslam.report.words import digits, interval, known, listed, rounded
 
 COLUMNS = (
     Column("ate_position_rmse_m", "ATE [m]"),
@@ -274,6 +274,6 @@ def by_side(placed: Iterable[tuple[str, float, float, float]], figures: int = 3)
     for name, value, low, high in placed:
         side = "above" if value > high else "below" if value < low else "inside"
         own = f" {interval(low, high, figures)}" if len(intervals) > 1 else ""
-        sides[side].append(f"{name} {value:.{figures}g}{own}")
+        sides[side].append(f"{name} {rounded(value, figures)}{own}")
     shared = f" {intervals.pop()}" if len(intervals) == 1 else ""
     return tuple(f"{side}{shared}: {listed(who)}" for side, who in sides.items() if who)

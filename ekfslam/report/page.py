@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -70,7 +71,7 @@ def render(results: ComparisonFolder | CampaignFolder) -> str:
         content = _of_campaign(results, ink)
     for code in (each["color"] for m in content["maps"] for each in m.data["tracks"]):
         ink.color(code)
-    content["kept"] = json.dumps(dict(results.config), indent=2, ensure_ascii=False)
+    content["kept"] = _in_lines(results.config)
     content["versions"] = _versions(results.config)
     script = _text("page.js")
     digest = hashlib.sha256(script.encode()).digest()
@@ -135,6 +136,13 @@ def _of_campaign(results: CampaignFolder, ink: Ink) -> dict[str, Any]:
         "everything": campaign.everything(results),
         "drawings": of_campaign(results, ink),
     }
+
+
+def _in_lines(config: Mapping[str, Any]) -> str:
+    """The configuration as JSON, lists of numbers on one line: two hundred seeds fill pages."""
+    text = json.dumps(dict(config), indent=2, ensure_ascii=False)
+    numbers = r"\[\n\s*[-+.\deE]+(?:,\n\s*[-+.\deE]+)*\n\s*\]"  # a string holds no line break
+    return re.sub(numbers, lambda found: json.dumps(json.loads(found[0])), text)
 
 
 def _versions(config: Mapping[str, Any]) -> list[tuple[str, str]]:

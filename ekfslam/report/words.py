@@ -28,16 +28,21 @@ def digits(value: Any) -> str:
     return f"{number:.0f}"
 
 
+def rounded(value: float, figures: int) -> str:
+    """A number to so many significant figures, with a power of ten from a million on alone."""
+    return f"{float(f'{value:.{figures}g}'):g}"
+
+
 def plus_minus(value: Any, error: Any) -> str:
     """A number with its error, as far as they are known."""
     if not known(value):
         return ""
-    return digits(value) + (f" ± {float(error):.2g}" if known(error) else "")
+    return digits(value) + (f" ± {rounded(float(error), 2)}" if known(error) else "")
 
 
 def interval(low: float, high: float, figures: int = 3) -> str:
     """An interval in brackets, to so many significant figures."""
-    return f"[{low:.{figures}g}, {high:.{figures}g}]"
+    return f"[{rounded(low, figures)}, {rounded(high, figures)}]"
 
 
 def percent(share: float) -> str:
