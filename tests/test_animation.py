@@ -175,6 +175,12 @@ def test_who_fails_on_the_whole_run_is_asked_once_and_the_others_are_shown(data,
         assert gif.n_frames == 3
     with pytest.raises(InputError, match="broken failed: ValueError: no luck"):
         animate(until(data, 20), [broken], tmp_path / "none.gif")
+    told = []
+    animate(
+        until(data, 5), [broken, "ekf"], tmp_path / "two.gif", every=5, width=200, tell=told.append
+    )
+    assert len(told) == 1
+    assert told[0].startswith("broken failed: ValueError: no luck")
 
 
 def test_the_last_step_is_always_among_the_pictures():

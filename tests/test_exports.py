@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import ModuleType
 from typing import ClassVar
 
@@ -117,6 +118,25 @@ def test_estimators_none_of_which_says_anything(tmp_path):
     with pytest.raises(InputError, match="silent failed: ValueError: no luck"):
         export(until(ekfslam.simulate("cloister", seed=3), 5), [Silent()], tum=tmp_path / "t")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_who_is_missing_in_the_files_is_told(tmp_path):
+    """In the library by `tell`, of the command on standard error."""
+    told = []
+    short = until(ekfslam.simulate("cloister", seed=3), 5)
+    export(short, [Silent(), "ekf"], tum=tmp_path / "t", tell=told.append)
+    assert len(told) == 1
+    assert told[0].startswith("silent failed: ValueError: no luck")
+    done = run(
+        "cloister",
+        "--estimators",
+        "ekf,test_exports:Silent",
+        "--tum",
+        tmp_path / "u",
+        PYTHONPATH=os.pathsep.join([str(Path(__file__).parent), *sys.path]),
+    )
+    assert done.returncode == 0
+    assert "Silent failed: ValueError: no luck" in done.stderr
 
 
 # Rerun ------------------------------------------------------------------------------------------

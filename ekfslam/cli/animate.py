@@ -9,6 +9,7 @@ import typer
 
 from ekfslam.cli import completion
 from ekfslam.cli.options import Data, Seed
+from ekfslam.cli.output import tell
 from ekfslam.cli.progress import progress
 
 
@@ -74,5 +75,6 @@ def animate(
             fps=fps,
             width=width,
             watch=watch,
+            tell=tell,
         )
     print(f"{path}: {path.stat().st_size / 1e6:.2g} MB")

@@ -9,6 +9,7 @@ import typer
 
 from ekfslam.cli import completion
 from ekfslam.cli.options import Data, Seed
+from ekfslam.cli.output import tell
 from ekfslam.cli.progress import progress
 
 
@@ -78,7 +79,16 @@ def export(
 
     with progress() as watch:
         written = write(
-            dataset, split(estimators), tum, g2o, rerun, every, seed=seed, data=data, watch=watch
+            dataset,
+            split(estimators),
+            tum,
+            g2o,
+            rerun,
+            every,
+            seed=seed,
+            data=data,
+            watch=watch,
+            tell=tell,
         )
     for path in written:
         print(path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from ekfslam.errors import InputError
 from ekfslam.estimates import Estimate, Trajectory
 from ekfslam.experiments.attempts import Watch
 from ekfslam.experiments.files import stem
-from ekfslam.experiments.film import pictured, so_far
+from ekfslam.experiments.film import pictured, say_who_is_missing, so_far
 from ekfslam.experiments.sources import open_dataset
 from ekfslam.export import write_g2o, write_rerun, write_tum
 from ekfslam.export.rerun_file import load_rerun
@@ -32,6 +32,7 @@ def export(
     seed: int = 0,
     data: str | Path | None = None,
     watch: Watch | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> list[Path]:
     """Write a run for other programs.
 
@@ -58,6 +59,8 @@ def export(
         Where the files of a recorded set lie.
     watch : callable, optional
         Told of progress.
+    tell : callable, optional
+        Told, in a line each, of estimators that say nothing of the run, and why.
 
     Returns
     -------
@@ -91,9 +94,7 @@ def export(
         steps = pictured(opened.poses, every or max(1, opened.poses // MOMENTS))
     found = so_far(opened, estimators, steps, watch)
     final = {name: sequence[-1] for name, sequence in found.items()}
-    if not any(estimate.series for estimate in final.values()):
-        told = [f"{name} {each.status}: {each.message}" for name, each in final.items()]
-        raise InputError("; ".join(told) or "no estimators")
+    say_who_is_missing(final.values(), tell)
     if tum is not None:
         written += write_trajectories(opened, list(final.values()), tum)
     if rerun is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -85,6 +85,31 @@ def _light(estimate: Estimate) -> Estimate:
     )
 
 
+def say_who_is_missing(
+    final: Iterable[Estimate], tell: Callable[[str], None] | None = None
+) -> None:
+    """Say which estimators say nothing of a run, and why.
+
+    Parameters
+    ----------
+    final : iterable of Estimate
+    tell : callable, optional
+        Called with a line for each of them.
+
+    Raises
+    ------
+    InputError
+        If none says anything.
+    """
+    final = list(final)
+    missing = [f"{e.estimator} {e.status}: {e.message}" for e in final if not e.series]
+    if len(missing) == len(final):
+        raise InputError("; ".join(missing) or "no estimators")
+    if tell is not None:
+        for words in missing:
+            tell(words)
+
+
 def animate(
     dataset: str | Dataset,
     estimators: str | Any | Sequence[str | Any] = "ekf",
@@ -96,6 +121,7 @@ def animate(
     fps: int = FPS,
     width: int = WIDTH,
     watch: Watch | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> Path:
     """Write a film of a run: paths, ellipses and measurements as they come.
 
@@ -123,6 +149,8 @@ def animate(
         In pixels.
     watch : callable, optional
         Told of progress.
+    tell : callable, optional
+        Told, in a line each, of estimators that say nothing of the run, and why.
 
     Returns
     -------
@@ -149,12 +177,10 @@ def animate(
     opened = open_dataset(dataset, seed=seed, path=data)
     steps = pictured(opened.poses, every or max(1, round(opened.poses / (length * fps))))
     film = Film(opened, steps, so_far(opened, subjects, steps, watch))
-    final = [estimates[-1] for estimates in film.estimates.values()]
-    if not any(each.series for each in final):
-        raise InputError("; ".join(f"{e.estimator} {e.status}: {e.message}" for e in final))
+    say_who_is_missing((estimates[-1] for estimates in film.estimates.values()), tell)
 
-    def tell(done: int, total: int) -> None:
+    def pass_on(done: int, total: int) -> None:
         if watch is not None:
             watch(opened.name, "pictures", done, total)
 
-    return save_film(film, path, fps, width, tell)
+    return save_film(film, path, fps, width, pass_on)
