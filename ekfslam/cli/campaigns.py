@@ -121,9 +121,9 @@ def summary(
 
     [bold]Examples[/bold]
 
-      ekfslam summary results/loop-15
+      ekfslam summary results/mine
 
-      ekfslam summary results/loop-15 --no-figures --csv > summary.csv
+      ekfslam summary results/mine --no-figures --csv > summary.csv
     """
     from ekfslam.experiments import read_campaign
 
