@@ -247,7 +247,8 @@ def assert_not_worse(
     is contradicted if the lower bound of the ratio of the means,
     `ekfslam.testing.statistics.least_ratio`, is above ``1 + margin``. Equal numbers on every seed
     never are. A run that fails where the reference did not fails the assertion, and so does one
-    that diverges, unless the reference has such runs: then how often it happens is a claim, too.
+    that diverges, unless the reference has such runs: then how often it happens is a claim, too. So
+    does a run without a number that the reference has, such as the error of a map that is gone.
 
     Parameters
     ----------

@@ -144,7 +144,27 @@ def _pairs(
         if both.empty:
             who = now["estimator"].iloc[0]
             raise InputError(f"{who} on {problem.name} and {title} share no number of {metric}")
+        _check_kept(now, ours, theirs, metric, title)
         yield Pair(problem, metric, title, both["now"], both["stored"], rewritable)
+
+
+def _check_kept(
+    now: pd.DataFrame, ours: pd.Series, theirs: pd.Series, metric: str, title: str
+) -> None:
+    """Fail a run without a number that it had: no pair would ever tell.
+
+    Raises
+    ------
+    AssertionError
+    """
+    had = theirs.index[np.isfinite(theirs)].difference(of.not_ok(now)["seed"])
+    lacking = had[~np.isfinite(ours.reindex(had))]
+    if len(lacking):
+        who, where = now["estimator"].iloc[0], now["scenario"].iloc[0]
+        raise AssertionError(
+            f"{who} on {where}: no {metric} in {len(lacking)} of {len(had)} runs, first seed "
+            f"{lacking[0]}, where {title} has one"
+        )
 
 
 def _numbers(rows: pd.DataFrame, metric: str) -> pd.Series:
