@@ -297,6 +297,35 @@ def test_of_a_run_on_another_draw_nothing_stays(tmp_path):
     assert read_reference(file)[ATE].isna().tolist() == [True, False]
 
 
+def test_names_are_text_whatever_they_look_like(tmp_path):
+    file = tmp_path / "mine.csv"
+    row = {"estimator": "7", "series": "online", "status": "ok", "draw": 10.0, "versions": "v"}
+    names = [("run #3", "1"), ("NA", "2"), ("1e3", None)]
+    rows = [row | {"scenario": s, "robot": r, "seed": 0, ATE: 1.0} for s, r in names]
+    for _ in range(2):  # again, over what was written
+        rewrite(file, rows)
+        table = read_reference(file)
+        assert sorted(zip(table["scenario"], table["robot"].fillna(""), strict=True)) == [
+            ("1e3", ""),
+            ("NA", "2"),
+            ("run #3", "1"),
+        ]
+        assert table["estimator"].tolist() == ["7"] * 3
+        assert table[ATE].tolist() == [1.0] * 3
+
+
+def test_a_number_that_is_no_more_does_not_stay(tmp_path):
+    file = tmp_path / "mine.csv"
+    row = {"scenario": "s", "estimator": "e", "series": "online", "robot": None, "draw": 10.0}
+    row |= {"versions": "v"}
+    rewrite(file, [row | {"seed": k, "status": "ok", ATE: 1.0, "rpe": 2.0} for k in (0, 1)])
+    rewrite(file, [row | {"seed": 0, "status": "diverged", ATE: None}])
+    table = read_reference(file)
+    assert table["status"].tolist() == ["diverged", "ok"]
+    assert table[ATE].isna().tolist() == [True, False]
+    assert table["rpe"].tolist() == [2.0, 2.0]
+
+
 LOST = """
 class Breaks(Filter):
     def estimate(self, data):

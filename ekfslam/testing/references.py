@@ -17,6 +17,7 @@ from ekfslam.testing.session import Record
 __tracebackhide__ = True  # a failed test shows the user's line
 
 KEYS = ["scenario", "estimator", "series", "robot", "seed"]
+NAMES = ["dataset", *KEYS[:-1]]  # text, whatever it looks like
 LEAD = [*KEYS, "status", "draw"]
 TITLE = "# Reference of ekfslam.testing, written by pytest --ekfslam-update"
 VERSIONS = ("ekfslam", "python", "machine", "numpy", "gtsam")
@@ -32,7 +33,14 @@ def read_reference(path: Path) -> pd.DataFrame:
         If it is missing, or lacks a column without which nobody can tell whose row it is.
     """
     try:
-        table = pd.read_csv(path, comment="#")
+        lines = path.read_text(encoding="utf-8").splitlines()
+        table = pd.read_csv(
+            path,
+            skiprows=[at for at, line in enumerate(lines) if line.startswith("#")],
+            dtype=dict.fromkeys(NAMES, str),
+            keep_default_na=False,
+            na_values=["", "nan", "NaN"],
+        )
     except (OSError, ValueError) as error:
         raise FileFormatError(f"{path}: cannot be read as a reference ({error})") from None
     if "scenario" not in table:
@@ -74,7 +82,7 @@ def rewrite(path: Path, records: Sequence[Record]) -> None:
     said = dict(zip(_groups(new), new.pop("versions"), strict=True))
     if path.exists():
         said = _versions(path) | said
-        new = _combined(new, read_reference(path))
+        new = _combined(new, _blanked(read_reference(path), records))
     new = _unique(new)
     metrics = sorted(name for name in new.columns if name not in LEAD)
     text = io.StringIO()
@@ -113,9 +121,27 @@ def _unique(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.groupby(KEYS, dropna=False, as_index=False).last()
 
 
+def _named(rows: pd.DataFrame) -> pd.DataFrame:
+    """Rows whose names are text or None, so that those of a file are those of now."""
+    names = rows[KEYS[:-1]].astype(object)
+    return rows.assign(**dict(names.where(names.notna(), None)))
+
+
+def _blanked(old: pd.DataFrame, records: Sequence[Record]) -> pd.DataFrame:
+    """Old rows without what the records speak of, also where they have no number any more."""
+    spoken: dict[Any, set[str]] = {}
+    for row in records:
+        names = set(row).intersection(old.columns).difference(LEAD)
+        spoken.setdefault(tuple(row[key] for key in KEYS), set()).update(names)
+    keys = _named(old)[KEYS].itertuples(index=False, name=None)
+    for at, key in zip(old.index, keys, strict=True):
+        old.loc[at, list(spoken.get(key, ()))] = None
+    return old
+
+
 def _combined(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
     """Rows of both, the new numbers over the old ones of the same run."""
-    new = _unique(new)
+    old, new = _named(old), _named(_unique(new))
     both = old.merge(new[[*KEYS, "draw"]], on=KEYS, how="left", suffixes=("", "_now"))
     # Of a run on another draw nothing stays.
     other = both["draw_now"].notna() & ~same(both["draw"], both["draw_now"])
