@@ -92,7 +92,9 @@ class Held:
 
     def map(self) -> tuple[LandmarkEstimates | None, Array | None]:
         """The map, and the joint covariance of pose and map, as far as there are any."""
-        mean = self._mean() if self._has("mean") else np.zeros(POSE)
+        if not self._has("mean"):  # ids are those of the points in mean
+            return self._landmarks(), None
+        mean = self._mean()
         if len(mean) == POSE and not self._has("ids"):
             return self._landmarks(), None
         if not self._has("ids"):

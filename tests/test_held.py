@@ -52,6 +52,8 @@ def test_landmarks_beside_a_pose(landmarks):
     np.testing.assert_array_equal(estimate.landmarks.ids, [4, 2])
     np.testing.assert_array_equal(estimate.landmarks.positions, [[1, 2], [3, 4]])
     np.testing.assert_array_equal(estimate.online.covariances, np.tile(2 * np.eye(3), (3, 1, 1)))
+    subject.ids = [4, 2]  # a filter's own list; there is no mean whose points it names
+    np.testing.assert_array_equal(resolve(subject).estimate(known()).landmarks.ids, [4, 2])
     subject.landmarks = {}
     assert len(resolve(subject).estimate(known()).landmarks) == 0
 
