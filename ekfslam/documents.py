@@ -136,4 +136,7 @@ def _number(value: Any, where: str) -> float:
         return float(np.deg2rad(float(angle[1])))
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{where} must be a number (or an angle like '3 deg'), got {value!r}")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise InputError(f"{where} is larger than any number that can be computed with") from None

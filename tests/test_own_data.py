@@ -243,6 +243,7 @@ CASES = [
     ("controls", {"dx": [True, 1.0]}, "row 0, column dx: is no number but 'True'"),
     ("controls", {"dx": [1.0, None]}, "row 1, column dx: is blank"),
     ("controls", {"dx": [1.0, -np.inf]}, "row 1, column dx: is infinite"),
+    ("controls", {"dx": [1.0, 10**400]}, "row 1, column dx: is no number but .1000"),
     ("controls", {"step": [1, 3]}, "row 1, column step: is 3 where 2 is due"),
     ("controls", {"spede": 1.0}, "unknown column 'spede'"),
     ("controls", {"sigma_dx": [0.1, None]}, "row 0: states noise, but not sigma_dy"),
@@ -301,6 +302,9 @@ def test_a_bad_cell_is_named(table, columns, message, tmp_path):
         ({"nmae": "x"}, "unknown key 'nmae'; did you mean name"),
         ({"robots": [{"motion": ODOMETRY}]}, "give either robots or motion"),
         ({"time_tolerance": "wide"}, "time_tolerance must be a number"),
+        ({"time_tolerance": np.nan}, "time_tolerance must not be negative .* got nan"),
+        ({"time_tolerance": -0.1}, "time_tolerance must not be negative"),
+        ({"start_time": 10**400}, "start_time is larger than any number"),
         ({"prior": {"mean": [0, 0]}}, r"\[prior\]: prior mean must have shape"),
     ],
 )
@@ -375,6 +379,20 @@ def test_robots_share_times():
         ekfslam.from_tables(pd.concat([one, other[:1]]), robots=robots, start_time=0.0)
 
 
+def test_robots_share_what_their_dt_add_up_to():
+    robots = [{"name": name, "motion": {"kind": "velocity", "sigmas": [1, 1]}} for name in "ab"]
+    moved = pd.DataFrame({"robot": list("abab"), "v": 1.0, "omega": 0.0})
+    times = ekfslam.from_tables(moved.assign(dt=[0.5, 0.5, 0.25, 0.25]), robots=robots).times
+    assert_array_equal(times, [0.0, 0.5, 0.75])
+    for dt, message in (
+        ([1, 2, -1, 2], "row 2, column dt: is not positive"),
+        ([1, 1, 1, -1], "row 3, column dt: is not positive"),
+        ([1, 1, 1, 3], "row 3, column dt: robots share the times of poses, but a has 1.0"),
+    ):
+        with pytest.raises(InputError, match=message):
+            ekfslam.from_tables(moved.assign(dt=dt), robots=robots)
+
+
 # Files as people write them ---------------------------------------------------------------------
 
 
@@ -410,6 +428,15 @@ def test_damaged_files_are_named(folder, text, message):
         ekfslam.load(folder)
     assert "controls.csv" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_compressed_file_that_is_damaged_is_named(folder):
+    packed = bytearray(gzip.compress(b"dx,dy,dtheta\n" + b"1,0,0\n" * 1000))
+    packed[20:30] = b"\xff" * 10
+    (folder / "controls.csv.gz").write_bytes(packed)
+    (folder / "controls.csv").unlink()
+    with pytest.raises(FileFormatError, match=r"controls.csv.gz: cannot be read"):
+        ekfslam.load(folder)
 
 
 def test_a_folder_without_its_parts_is_named(folder, tmp_path):

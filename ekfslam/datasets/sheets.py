@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Collection, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -95,7 +96,7 @@ class Sheet(NamedTuple):
         for at, (row, cell) in enumerate(zip(which.tolist(), cells, strict=True)):
             try:
                 values[at] = _number(cell)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 self.refuse(f"is no number but {str(cell)[:40]!r}", row, column)
         bad = np.isinf(values) if blank else ~np.isfinite(values)
         for at in np.flatnonzero(bad)[:1]:
@@ -188,7 +189,7 @@ def read_csv(path: Path) -> Sheet:
         raise FileFormatError(f"{path}: is empty") from None
     except FileNotFoundError:
         raise FileFormatError(f"{path}: no such file") from None
-    except (OSError, EOFError, UnicodeError, pd.errors.ParserError) as error:
+    except (OSError, EOFError, zlib.error, UnicodeError, pd.errors.ParserError) as error:
         raise FileFormatError(f"{path}: cannot be read ({str(error).strip()})") from None
     lines = np.arange(1, len(cells) + 1)
     held = cells.apply(lambda column: column.str.strip() != "").any(axis=1).to_numpy()

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from ekfslam.checks import is_covariance
+from ekfslam.checks import checked_number, is_covariance
 from ekfslam.datasets.sheets import Sheet
 from ekfslam.errors import InputError
 from ekfslam.geometry import Array
@@ -31,6 +31,10 @@ class Header:
     notes: tuple[str, ...] = ()
     start_time: float | None = None
     time_tolerance: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= checked_number(self.time_tolerance, "time_tolerance") < np.inf:
+            raise InputError(f"time_tolerance must not be negative [s], got {self.time_tolerance}")
 
 
 class Told(NamedTuple):
@@ -115,12 +119,7 @@ def _times(
     """Times of the poses, which all robots share."""
     start = 0.0 if header.start_time is None else header.start_time
     if not sheet.has("time"):
-        for robot, (_, controls, _) in zip(robots, parts, strict=True):
-            if "dt" in robot.controls:
-                spans = controls[:, robot.controls.index("dt")]
-                sheet.refuse_where(spans <= 0, "is not positive", "dt")
-                return start + np.concatenate([[0.0], np.cumsum(spans)])
-        return start + np.arange(len(parts[0][0]) + 1, dtype=float)
+        return start + _elapsed(sheet, parts, robots)
     if header.start_time is None:
         raise InputError(
             f"{where}: start_time is missing: the time of the first pose, before the first motion, "
@@ -137,6 +136,25 @@ def _times(
             said = f"robots share the times of poses, but {robots[0].name} has {first[at]}"
             sheet.refuse(said, int(rows[at]), "time")
     return np.concatenate([[start], first])
+
+
+def _elapsed(sheet: Sheet, parts: Sequence[Any], robots: Sequence[Told]) -> Array:
+    """Times since the first pose, by the ``dt`` of the controls, or 1 s a step."""
+    timed = [
+        (robot.name, rows, controls[:, robot.controls.index("dt")])
+        for robot, (rows, controls, _) in zip(robots, parts, strict=True)
+        if "dt" in robot.controls
+    ]
+    if not timed:
+        return np.arange(len(parts[0][0]) + 1, dtype=float)
+    first, _, shared = timed[0]
+    for _, rows, spans in timed:
+        for at in np.flatnonzero(spans <= 0)[:1]:
+            sheet.refuse("is not positive", int(rows[at]), "dt")
+        for at in np.flatnonzero(~np.isclose(spans, shared, rtol=1e-9, atol=0))[:1]:
+            said = f"robots share the times of poses, but {first} has {shared[at]}; or state a time"
+            sheet.refuse(said, int(rows[at]), "dt")
+    return np.concatenate([[0.0], np.cumsum(shared)])
 
 
 def sightings(
