@@ -11,7 +11,8 @@ import pytest
 from scipy import stats
 
 import ekfslam
-from ekfslam.errors import InputError, UnknownNameError
+from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
+from ekfslam.simulation import load_scenario, scenario_hash
 from ekfslam.testing import assert_accuracy, assert_consistent, assert_not_worse
 from ekfslam.testing.pairing import Pair, not_worse
 from ekfslam.testing.references import DIGITS
@@ -220,6 +221,27 @@ def test_several_robots_count_as_one_run_and_as_claims_of_their_own():
     assert together.claims["mean"][0] != one.claims["mean"][0]
     consistent = assert_consistent("ekf", "team", seeds=2, margin=0.9)
     assert len(consistent.claims) == 3 + 1
+
+
+def test_a_scenario_with_a_motion_of_its_own_is_known_by_itself():
+    def longer(factor):
+        return ekfslam.OwnMotion(
+            kind="mine",
+            covariance=1e-4 * np.eye(2),
+            controls=("v", "w", "dt"),
+            function=lambda u: [factor * u[0] * u[2], 0.0, u[1] * u[2]],
+            slip=1e-3,
+        )
+
+    loop = load_scenario("loop-15")
+    drawn = [replace(loop, motion=longer(factor)) for factor in (1.0, 1.1)]
+    means = [
+        assert_accuracy("ekf", each, 2, ate_position_rmse_m=99.0).claims["mean"][0]
+        for each in (*drawn, drawn[0])
+    ]
+    assert means[0] == means[2] != means[1]
+    with pytest.raises(UnsupportedError, match="has no digest"):
+        scenario_hash(drawn[0])
 
 
 def test_one_dataset_is_held_against_the_bare_bound():

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ekfslam.errors import InputError
+from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.robots import Prior
 from ekfslam.simulation.scenario import Scenario
 
@@ -89,6 +89,11 @@ def scenario_hash(scenario: Scenario) -> str:
     -------
     str
         64 hexadecimal digits (SHA-256).
+
+    Raises
+    ------
+    UnsupportedError
+        For a motion model of one's own: nothing says whether two functions are the same.
     """
     skipped: tuple[str, ...] = (*_WORDS, *_OF_ROBOTS, "sensors", "time_step")
     if scenario.known_map == 1:  # came later, and older digests hold
@@ -120,4 +125,6 @@ def _canonical(value: Any) -> Any:
         return [_canonical(item) for item in value]
     if value is None or isinstance(value, str | bool):
         return value
+    if callable(value):
+        raise UnsupportedError("a motion model of one's own has no digest: it is a function")
     return float(value) + 0.0

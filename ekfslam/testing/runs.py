@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ import pandas as pd
 
 from ekfslam.dataset import Dataset
 from ekfslam.datasets import is_recorded
-from ekfslam.errors import InputError
+from ekfslam.errors import InputError, UnsupportedError
 from ekfslam.estimates import FAILED, SKIPPED, Estimate
 from ekfslam.evaluation import run_metrics
 from ekfslam.evaluation.tables import summary_scalars
@@ -68,7 +69,9 @@ def problem_of(scenario: str | Path | Scenario | Dataset) -> Problem:
             return Problem(dataset.name, str(scenario), lambda seed: dataset, simulated=False)
         scenario = open_scenario(str(scenario))
     drawn = scenario
-    key = (drawn.name, scenario_hash(drawn))
+    key: Any = drawn
+    with suppress(UnsupportedError):  # with functions of its own, it is equal to itself alone
+        key = (drawn.name, scenario_hash(drawn))
     return Problem(drawn.name, key, lambda seed: simulate(drawn, seed=seed), simulated=True)
 
 
