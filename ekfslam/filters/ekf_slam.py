@@ -161,7 +161,7 @@ def update(slam, register, sightings, first, last, settings, log, other):  # typ
     """Correct with what is seen again, jointly or one after another (Solà, 2.3.3).
 
     Not with observations of a bank of hypotheses, which weighs for itself. The workspace must be
-    large enough, see `has_room` and `GaussianMap.widen`. Returns the squared Mahalanobis norm of
+    large enough, see `has_room` and `widen` of the map. Returns the squared Mahalanobis norm of
     the innovations, NaN if their covariance was not positive definite, and how many rows they have.
     """
     accepted, sizes = 0, register.sizes
