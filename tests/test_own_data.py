@@ -414,8 +414,9 @@ def test_spaces_blank_lines_a_bom_and_gzip_are_taken(folder):
     [
         ("", "is empty"),
         ("\n\n", "is empty"),
+        ("\ndx,dy,dtheta\n1,0,0\n", "its first line is, which has to name the columns"),
         ("dx;dy;dtheta\n1;0;0\n", "columns are separated by commas"),
-        ("dx,dy,dtheta\n1,0,0\n1,0,0,5\n", "line 3"),
+        ("dx,dy,dtheta\n1,0,0\n1,5,0,0\n", "line 3: 4 cells, where the first line has 3; .*point"),
         ("dx,dy,dtheta\n\n1,0,0\n1,0\n", "line 4, column dtheta: is blank"),
         ("dx,dy,dx\n1,0,0\n", "the column 'dx' is there twice"),
         ("dx,dy\n1,0\n", "the column 'dtheta' is missing; there are: dx, dy"),

@@ -14,6 +14,8 @@ import ekfslam
 from ekfslam.errors import InputError, UnknownNameError, UnsupportedError
 from ekfslam.simulation import load_scenario, scenario_hash
 from ekfslam.testing import assert_accuracy, assert_consistent, assert_not_worse
+from ekfslam.testing.assertions import bounded
+from ekfslam.testing.metrics import MORE
 from ekfslam.testing.pairing import Pair, not_worse
 from ekfslam.testing.references import DIGITS
 from ekfslam.testing.runs import problem_of
@@ -139,6 +141,17 @@ def test_the_interval_of_a_sum_is_chi_square_and_the_margin_widens_it():
     assert expected_interval(60.0, 0.1, 0.02) == pytest.approx((0.9 * low, 1.1 * high))
 
 
+def test_a_number_holds_against_itself():
+    """The mean of equal numbers is another by a rounding error."""
+    more = MORE[0]
+    for value in (0.1, 0.3, 1.1):
+        values = np.full(3, value)
+        assert bounded(values, "ate_position_rmse_m", value, 0.01)["holds"]
+        assert not bounded(values, "ate_position_rmse_m", value * (1 - 1e-9), 0.01)["holds"]
+        assert bounded(values, more, value, 0.01)["holds"]
+        assert not bounded(values, more, value * (1 + 1e-9), 0.01)["holds"]
+
+
 # What is asked ---------------------------------------------------------------------------------
 
 
@@ -257,6 +270,11 @@ def test_one_dataset_is_held_against_the_bare_bound():
         assert_accuracy("ekf", data, seeds=3, ate_position_rmse_m=9.0)
     with pytest.raises(InputError, match="one run says nothing of consistency"):
         assert_consistent("ekf", data)
+
+
+def test_where_every_observation_is_rejected_there_is_no_nis_to_hold():
+    found = assert_consistent("ekf(known_gate=1e-12)", "loop-15", seeds=3, margin=0.9)
+    assert list(found.claims["what"]) == ["NEES of the final pose"]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Datasets by name, with values of a scenario set where it is named."""
 
+from importlib.resources import files
+
 import numpy as np
 import pytest
 
@@ -18,10 +20,25 @@ def test_values_of_scenarios_in_names():
     assert dataset.name == name
     np.testing.assert_array_equal(dataset.observations.values, expected.observations.values)
     assert len(dataset.observations) < len(open_dataset("park", seed=3).observations)
+    drawn = simulate(name, seed=3)
+    np.testing.assert_array_equal(drawn.observations.values, dataset.observations.values)
+    assert load_scenario(name, {"path.laps": 2}).name == name
     with pytest.raises(InputError, match=r"laps"):
         open_dataset("park(path.lapse=1)")
     with pytest.raises(UnknownNameError, match="parc"):
         open_dataset("parc(path.laps=1)")
+    with pytest.raises(InputError, match="bracket"):
+        load_scenario("park(path.laps=1")
+    with pytest.raises(UnknownNameError):
+        load_scenario("park)")
+
+
+def test_a_file_may_have_brackets_in_its_path(tmp_path):
+    folder = tmp_path / "of mine (old)"
+    folder.mkdir()
+    file = folder / "short(er).toml"
+    file.write_text((files("ekfslam.simulation") / "scenarios" / "loop-15.toml").read_text())
+    assert load_scenario(file).name == load_scenario(str(file)).name == "short(er)"
 
 
 def test_a_city_of_a_size_goes_through_all_of_it(tmp_path):

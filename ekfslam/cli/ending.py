@@ -54,7 +54,9 @@ def _told(error: Exception) -> int:
     if isinstance(error, OSError):
         return _unwritten(error)
     if hasattr(error, "format_message"):  # what the parser itself refuses
-        return refused(f"{error.format_message()} (ekfslam --help)")
+        asked = getattr(getattr(error, "ctx", None), "command_path", "ekfslam")
+        said = error.format_message()  # nothing where it has shown the help instead
+        return refused(f"{said} ({asked} --help)") if said else MISTAKE
     traceback.print_exception(error)
     print(f"ekfslam: {ASK}", file=sys.stderr)
     return FAULT

@@ -49,8 +49,8 @@ def simulate(
     """
     from ekfslam.datasets.table_files import write_tables
     from ekfslam.errors import InputError
-    from ekfslam.experiments.sources import open_scenario
     from ekfslam.export import write_g2o
+    from ekfslam.simulation import load_scenario
     from ekfslam.simulation import simulate as draw
 
     if out.suffix not in (".npz", ""):
@@ -58,7 +58,7 @@ def simulate(
     for path in filter(None, (out, g2o)):
         if not path.parent.is_dir():
             raise InputError(f"cannot write {path}: there is no folder {path.parent}")
-    drawn = open_scenario(scenario)
+    drawn = load_scenario(scenario)
     dataset = draw(drawn, seed=seed, noise=noise, odometry_noise=odometry_noise)
     written = [str(out)]
     if g2o is not None:  # first: it can be refused for what the dataset holds

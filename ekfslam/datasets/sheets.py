@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zlib
 from collections.abc import Collection, Sequence
 from difflib import get_close_matches
@@ -15,6 +16,7 @@ from ekfslam.errors import FileFormatError, InputError
 from ekfslam.geometry import Array
 
 LARGEST = 2**63 - 1
+_CELLS = re.compile(r"Expected (\d+) fields in line (\d+), saw (\d+)")
 
 
 class Sheet(NamedTuple):
@@ -186,10 +188,20 @@ def read_csv(path: Path) -> Sheet:
             encoding="utf-8-sig",
         ).fillna("")
     except pd.errors.EmptyDataError:
-        raise FileFormatError(f"{path}: is empty") from None
+        said = "is empty, or its first line is, which has to name the columns"
+        raise FileFormatError(f"{path}: {said}") from None
     except FileNotFoundError:
         raise FileFormatError(f"{path}: no such file") from None
-    except (OSError, EOFError, zlib.error, UnicodeError, pd.errors.ParserError) as error:
+    except pd.errors.ParserError as error:
+        found = _CELLS.search(str(error))
+        if found is None:
+            raise FileFormatError(f"{path}: cannot be read ({str(error).strip()})") from None
+        first, line, cells = found.groups()
+        raise FileFormatError(
+            f"{path}, line {line}: {cells} cells, where the first line has {first}; "
+            "commas separate cells, and numbers have a decimal point"
+        ) from None
+    except (OSError, EOFError, zlib.error, UnicodeError) as error:
         raise FileFormatError(f"{path}: cannot be read ({str(error).strip()})") from None
     lines = np.arange(1, len(cells) + 1)
     held = cells.apply(lambda column: column.str.strip() != "").any(axis=1).to_numpy()

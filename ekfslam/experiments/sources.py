@@ -14,7 +14,7 @@ from ekfslam.datasets.places import there
 from ekfslam.datasets.table_files import HEADER, read_tables
 from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.registry import parse
-from ekfslam.simulation import Scenario, load_scenario, scenarios, simulate
+from ekfslam.simulation import Scenario, scenarios, simulate
 
 
 def open_dataset(
@@ -26,7 +26,7 @@ def open_dataset(
     ----------
     source : str, path, Dataset or Scenario
         A scenario or its TOML file (simulated with `seed`; values to set may follow, see
-        `open_scenario`), a recorded set, a file written by `Dataset.save` (``.npz``), a folder of
+        `ekfslam.load_scenario`), a recorded set, a file written by `Dataset.save` (``.npz``), a folder of
         CSV files with a ``dataset.toml`` (`ekfslam.datasets.table_files`), or a graph file
         (``.g2o``, ``.graph``, ``.pyfg``). Options of its loader may follow the name of a
         recorded set, as in ``victoria-park(noise=file)``, and become part of the dataset's name,
@@ -62,7 +62,7 @@ def open_dataset(
         return read_tables(Path(name).parent)
     scenario = name.partition("(")[0].strip()
     if scenario in scenarios() or scenario.endswith(".toml"):
-        return simulate(open_scenario(name), seed=seed)
+        return simulate(name, seed=seed)
     if name and (Path(name) / HEADER).exists():
         return read_tables(name)
     if name and Path(name).exists():
@@ -71,25 +71,6 @@ def open_dataset(
             f"{', '.join(GRAPHS)}, and a folder of tables has a {HEADER}"
         )
     raise UnknownNameError("dataset", name, [*scenarios(), *RECORDED])
-
-
-def open_scenario(name: str) -> Scenario:
-    """A scenario of a name or file, which values to set may follow.
-
-    Parameters
-    ----------
-    name : str
-        As in ``city(world.count=5000, path.steps=10000)``, with keys as for
-        `ekfslam.simulation.load_scenario`; they become part of the scenario's name.
-
-    Raises
-    ------
-    UnknownNameError, FileFormatError, InputError
-        As `load_scenario`, and for text that cannot be read.
-    """
-    call = parse(name)
-    scenario = load_scenario(call.name, call.options)
-    return replace(scenario, name=str(call)) if call.options else scenario
 
 
 def _graph(name: str) -> Dataset:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from os import PathLike
@@ -15,6 +16,7 @@ import numpy as np
 from ekfslam.documents import arguments, call, filled, motion_model, read, section, tables
 from ekfslam.errors import FileFormatError, InputError, UnknownNameError
 from ekfslam.geometry import Array
+from ekfslam.registry import parse
 from ekfslam.robots import LandmarkMap, Prior
 from ekfslam.simulation.blocks import share
 from ekfslam.simulation.paths import PATHS
@@ -62,7 +64,8 @@ def load_scenario(
     ----------
     scenario : str or path
         A name of `scenarios`, or a path that ends in ``.toml``; the scenario is then called after
-        its file.
+        its file. Values to set may follow a str, as in
+        ``city(world.count=5000, path.steps=10000)``, and become part of the scenario's name.
     changes : mapping of str to value, optional
         Values of the file to set before it is read, by dotted key, with the numbers of list items
         from 0: ``{"motion.sigmas": [0.1, 0.1], "sensors.0.max_range": 8.0, "path.repeat": 100}``.
@@ -78,8 +81,12 @@ def load_scenario(
         missing or damaged; the message says where to get it.
     InputError
         For unknown or missing keys, of the file or of `changes`, and values that make no sense;
-        the message names the file, the table and the key.
+        the message names the file, the table and the key. And for brackets that cannot be read.
     """
+    if isinstance(scenario, str) and "(" in scenario and not scenario.endswith(".toml"):
+        named = parse(scenario)
+        changed = load_scenario(named.name, named.options | dict(changes or {}))
+        return replace(changed, name=str(named))
     shipped = _shipped()
     file: Path | Traversable
     folder, where = None, str(scenario)

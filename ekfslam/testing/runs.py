@@ -19,9 +19,9 @@ from ekfslam.evaluation import run_metrics
 from ekfslam.evaluation.tables import summary_scalars
 from ekfslam.experiments.attempts import attempt, named
 from ekfslam.experiments.compare import REFERENCE
-from ekfslam.experiments.sources import open_dataset, open_scenario
+from ekfslam.experiments.sources import open_dataset
 from ekfslam.registry import Estimator, estimator_name, resolve
-from ekfslam.simulation import Scenario, scenario_hash, scenarios, simulate
+from ekfslam.simulation import Scenario, load_scenario, scenario_hash, scenarios, simulate
 from ekfslam.testing.session import Record, current
 
 __tracebackhide__ = True  # a failed test shows the user's line
@@ -67,7 +67,7 @@ def problem_of(scenario: str | Path | Scenario | Dataset) -> Problem:
         if is_recorded(name) or not (name in scenarios() or name.endswith(".toml")):
             dataset = open_dataset(scenario)
             return Problem(dataset.name, str(scenario), lambda seed: dataset, simulated=False)
-        scenario = open_scenario(str(scenario))
+        scenario = load_scenario(str(scenario))
     drawn = scenario
     key: Any = drawn
     with suppress(UnsupportedError):  # with functions of its own, it is equal to itself alone
