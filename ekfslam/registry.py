@@ -175,7 +175,7 @@ def resolve(estimator: str | Any, **options: Any) -> Estimator:
         call = parse(estimator)
         for twice in sorted(options.keys() & call.options.keys()):
             raise InputError(f"option {twice} is given twice: in {estimator!r} and beside it")
-        estimator, options = _load(call.name), call.options | options
+        estimator, options = named(call.name), call.options | options
     if _makes(estimator):
         _check_options(estimator, options)
         wrapped = adapted(estimator, options)
@@ -225,7 +225,14 @@ def _check_options(maker: Callable[..., Any], options: dict[str, Any]) -> None:
             raise UnknownNameError(f"option of {estimator_name(maker)}", name, known)
 
 
-def _load(name: str) -> Any:
+def named(name: str) -> Any:
+    """The class, function or object that a name without options stands for.
+
+    Raises
+    ------
+    UnknownNameError, InputError
+        As `resolve`.
+    """
     known = registered()
     if name in known:
         try:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from ekfslam.cli import completion
+from ekfslam.cli.docstrings import options_of, summary
 from ekfslam.cli.options import Data, Json
 from ekfslam.cli.output import print_json
 from ekfslam.cli.printing import print_list
@@ -88,12 +89,24 @@ def _recorded(data: Any) -> list[dict[str, Any]]:
     return rows
 
 
-def estimators(as_json: Json = False) -> None:
+def estimators(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            help="One, or module:attribute: tell its options.",
+            show_default=False,
+            autocompletion=completion.estimators,
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
     """What there is to compare; packages join by the entry-point group `ekfslam.estimators`.
 
     [bold]Examples[/bold]
 
       ekfslam estimators
+
+      ekfslam estimators gtsam-batch
 
       ekfslam compare park --estimators "ekf, ekf-ri, gtsam-batch(initial=ekf-ri)"
 
@@ -101,10 +114,13 @@ def estimators(as_json: Json = False) -> None:
     """
     from ekfslam import registry
 
+    if name is not None:
+        _options(name, as_json)
+        return
     listed = []
     for name, point in registry.registered().items():
         try:
-            doc, error = (point.load().__doc__ or "").strip().partition("\n")[0], ""
+            doc, error = summary(point.load()), ""
         except Exception as failure:
             doc, error = "", str(failure)
         row = {"name": name, "description": doc, "place": point.value, "error": error}
@@ -117,4 +133,22 @@ def estimators(as_json: Json = False) -> None:
         doc = f"cannot be loaded: {each['error']}" if each["error"] else each["description"]
         joined = f" of {each['package']}" if each["package"] else ""
         rows.append((each["name"], f"{doc} ({each['place']}{joined})"))
+    print_list(rows)
+
+
+def _options(name: str, as_json: bool) -> None:
+    """All options of an estimator."""
+    from ekfslam.registry import named, parse
+
+    name = parse(name).name
+    maker = named(name)
+    told = options_of(maker) if callable(maker) else []
+    if as_json:
+        options = [{"defaults": each.defaults, "text": each.text} for each in told]
+        print_json("estimators", name=name, description=summary(maker), options=options)
+        return
+    rows = [(name, summary(maker))]
+    for defaults, text in told:
+        words = [f"{option}={value}" if value else option for option, value in defaults.items()]
+        rows.append((", ".join(words), text))
     print_list(rows)

@@ -196,9 +196,9 @@ def read_csv(path: Path) -> Sheet:
         found = _CELLS.search(str(error))
         if found is None:
             raise FileFormatError(f"{path}: cannot be read ({str(error).strip()})") from None
-        first, line, cells = found.groups()
+        first, line, count = found.groups()
         raise FileFormatError(
-            f"{path}, line {line}: {cells} cells, where the first line has {first}; "
+            f"{path}, line {line}: {count} cells, where the first line has {first}; "
             "commas separate cells, and numbers have a decimal point"
         ) from None
     except (OSError, EOFError, zlib.error, UnicodeError) as error:

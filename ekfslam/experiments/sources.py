@@ -26,9 +26,9 @@ def open_dataset(
     ----------
     source : str, path, Dataset or Scenario
         A scenario or its TOML file (simulated with `seed`; values to set may follow, see
-        `ekfslam.load_scenario`), a recorded set, a file written by `Dataset.save` (``.npz``), a folder of
-        CSV files with a ``dataset.toml`` (`ekfslam.datasets.table_files`), or a graph file
-        (``.g2o``, ``.graph``, ``.pyfg``). Options of its loader may follow the name of a
+        `ekfslam.load_scenario`), a recorded set, a file written by `Dataset.save` (``.npz``), a
+        folder of CSV files with a ``dataset.toml`` (`ekfslam.datasets.table_files`), or a graph
+        file (``.g2o``, ``.graph``, ``.pyfg``). Options of its loader may follow the name of a
         recorded set, as in ``victoria-park(noise=file)``, and become part of the dataset's name,
         or that of a graph file, as in ``loop.g2o(unsupported=drop)``.
     seed : int
