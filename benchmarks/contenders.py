@@ -18,7 +18,7 @@ from ekfslam.dataset import Dataset, Step
 from ekfslam.estimates import Estimate
 from ekfslam.filters.ekf import Ekf
 from ekfslam.geometry import Array
-from ekfslam.registry import parse, registered, resolve
+from ekfslam.registry import parse, resolve
 
 
 class Problem(NamedTuple):
@@ -161,18 +161,21 @@ SIZES = (20, 100, 300, 1000, 2000, 5000)
 MANY = dict.fromkeys(SIZES, 200)
 """Steps of the fast: many map updates at any size, so that one that is pending counts little."""
 LARGE = 1000  # landmarks of a map that may be updated between the steps
-LOCAL = dict.fromkeys((1000, 2000, 5000), 800)
+LOCAL = dict.fromkeys((300, 1000, 2000, 5000), 800)
+AREAS = {300: 30, 1000: 100, 2000: 100, 5000: 100}  # landmarks of a local map
 TWO_THREADS = "ekf, 2 threads"  # at the largest size alone, for the record
 FAMILY = ("iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
+
+
+JOINT = {20: 200, 100: 200, 300: 80, 1000: 30, 2000: 8, 5000: 2}
+TOOLBOX = {20: 60, 100: 60, 300: 10, 1000: 2, 2000: 1}
 
 
 def on_the_ring(size: int) -> list[Contender]:
     """Where any landmark may be seen at any step; the slow are given fewer steps, or none."""
     family = {20: 200, 100: 200, 300: 60, 1000: 150}  # some updates of the whole map for each
     sequential = {20: 200, 100: 100, 300: 40, 1000: 10, 2000: 3, 5000: 1}
-    joint = {20: 200, 100: 200, 300: 80, 1000: 30, 2000: 8, 5000: 2}
     dense = {20: 200, 100: 40, 300: 6, 1000: 1}
-    toolbox = {20: 60, 100: 60, 300: 10, 1000: 2, 2000: 1}
     filterpy = {20: 60, 100: 20, 300: 4, 1000: 1}
     everyone = [
         ours("ekf", MANY, size),
@@ -180,9 +183,9 @@ def on_the_ring(size: int) -> list[Contender]:
         *(ours(name, family, size) for name in FAMILY),
         smoother(MANY),
         Contender("textbook, sequential", partial(by_step, Textbook), sequential, "sequential"),
-        Contender("textbook, joint", partial(by_step, JointTextbook), joint, "joint"),
+        Contender("textbook, joint", partial(by_step, JointTextbook), JOINT, "joint"),
         Contender("textbook, dense", partial(by_step, DenseTextbook), dense, "joint"),
-        Contender("roboticstoolbox", partial(by_step, RoboticsToolbox), toolbox, "sequential"),
+        Contender("roboticstoolbox", partial(by_step, RoboticsToolbox), TOOLBOX, "sequential"),
         Contender("filterpy", partial(by_step, FilterPy), filterpy, "joint"),
     ]
     return [each for each in everyone if size in each.steps]
@@ -190,10 +193,15 @@ def on_the_ring(size: int) -> list[Contender]:
 
 def in_the_city(size: int) -> list[Contender]:
     """Where what is seen lies close together, and the robot moves on."""
-    compressed = ours("ekf-compressed(area=100)", LOCAL, size)._replace(update="joint")
-    known = "ekf-compressed" in registered()
-    full = ours("ekf", {1000: 400, 2000: 400, 5000: 150}, size)
-    return [full, *([compressed] if known else []), smoother(LOCAL)]
+    compressed = ours(f"ekf-compressed(area={AREAS[size]})", LOCAL, size)
+    everyone = [
+        ours("ekf", {300: 800, 1000: 400, 2000: 400, 5000: 150}, size),
+        compressed._replace(update="joint"),
+        smoother(LOCAL),
+        Contender("textbook, joint", partial(by_step, JointTextbook), JOINT, "joint"),
+        Contender("roboticstoolbox", partial(by_step, RoboticsToolbox), TOOLBOX, "sequential"),
+    ]
+    return [each for each in everyone if size in each.steps]
 
 
 def ours(name: str, steps: dict[int, int], size: int) -> Contender:
