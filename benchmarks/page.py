@@ -15,7 +15,9 @@ SHORT = {  # rows of the README, with what they are called there
     "ring, 100 landmarks: ekf, textbook, joint": "map of 100: EKF, the textbook's in NumPy",
     "ring, 2000 landmarks: ekf, textbook, joint": "map of 2000: the same",
     "ring, 2000 landmarks: ekf, roboticstoolbox": "map of 2000: EKF, that of roboticstoolbox",
-    "city, 2000 landmarks: ekf-compressed, textbook, joint": "city of 2000: compressed EKF, textbook",
+    "city, 2000 landmarks: ekf-compressed, textbook, joint": (
+        "city of 2000: compressed EKF, the textbook's in NumPy"
+    ),
     "city, 5000 landmarks: ekf-compressed, gtsam-isam2": "city of 5000: compressed EKF, iSAM2",
     "1000 landmarks, association (nearest), correction": "map of 1000: association, correction",
     "loop-15: all seven filters, batch": "`loop-15`, 100 runs: seven filters, batch",
