@@ -55,6 +55,9 @@ napoleon_use_ivar = True
 html_theme = "furo"
 html_title = f"ekfslam {version}"
 html_show_sourcelink = False
+html_static_path = ["style"]
+html_css_files = ["tables.css"]
+highlight_language = "none"  # a block without a language is what a command prints
 
 
 # What looks like a name of Python and is none: groups of entry points.
