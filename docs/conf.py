@@ -107,7 +107,9 @@ def describe_commands() -> str:
     text = get_docs_for_click(obj=command, ctx=context, name="ekfslam", indent=1)
     text = re.sub(r'<span style="color[^>]*>(.*?)</span>', r"# \1", text)
     text = re.sub(r'<span style="font-weight[^>]*>(.*?)</span>', r"**\1**", text)
-    text = re.sub(r"(?<=[ (])(--[a-z-]+)(?=[ .,;)\n])", r"`\1`", text)  # else they lose a dash
+    options = re.compile(r"(?<=[ (])(--[a-z-]+)(?=[ .,;)])")
+    prose = re.compile(r"^[*A-Z].*", re.MULTILINE)  # in which options would lose a dash
+    text = prose.sub(lambda line: options.sub(r"`\1`", line[0]), text)
     examples = re.compile(r"(?:^  \S.*\n+)+", re.MULTILINE)
     return examples.sub(lambda lines: _fenced(lines[0]), text)
 

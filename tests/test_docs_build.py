@@ -92,7 +92,7 @@ def test_every_command_is_described_with_its_options(site):
             described(each, [*words, name])
 
     described(typer.main.get_command(app), ["ekfslam"])
-    assert not re.search(r"\[/?(bold|dim)\]|–out", page)
+    assert not re.search(r"\[/?(bold|dim)\]|–out|`", page)
 
 
 def test_fields_without_a_description_are_left_out(site):
