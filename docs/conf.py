@@ -55,6 +55,9 @@ napoleon_use_ivar = True
 html_theme = "furo"
 html_title = f"ekfslam {version}"
 html_show_sourcelink = False
+html_static_path = ["style"]
+html_css_files = ["tables.css"]
+highlight_language = "none"  # a block without a language is what a command prints
 
 
 # What looks like a name of Python and is none: groups of entry points.
@@ -94,20 +97,26 @@ def describe_commands() -> str:
     """The commands with their options, as Markdown."""
     import typer
     from typer.cli import get_docs_for_click
+    from typer.core import MARKUP_MODE_KEY
 
     from ekfslam.cli import app
 
     command = typer.main.get_command(app)
-    context = command.make_context("ekfslam", [], resilient_parsing=True)
+    markup = {MARKUP_MODE_KEY: "rich"}  # that of the texts: else its tags are shown
+    context = command.make_context("ekfslam", [], resilient_parsing=True, obj=markup)
     text = get_docs_for_click(obj=command, ctx=context, name="ekfslam", indent=1)
     text = re.sub(r'<span style="color[^>]*>(.*?)</span>', r"# \1", text)
     text = re.sub(r'<span style="font-weight[^>]*>(.*?)</span>', r"**\1**", text)
+    options = re.compile(r"(?<=[ (])(--[a-z-]+)(?=[ .,;)])")
+    prose = re.compile(r"^[*A-Z].*", re.MULTILINE)  # in which options would lose a dash
+    text = prose.sub(lambda line: options.sub(r"`\1`", line[0]), text)
     examples = re.compile(r"(?:^  \S.*\n+)+", re.MULTILINE)
-    return examples.sub(lambda lines: f"```sh\n{_dense(lines[0])}```\n\n", text)
+    return examples.sub(lambda lines: _fenced(lines[0]), text)
 
 
-def _dense(lines: str) -> str:
-    return "".join(f"{html.unescape(line.strip())}\n" for line in lines.splitlines() if line)
+def _fenced(lines: str) -> str:
+    dense = "".join(f"{html.unescape(line.strip())}\n" for line in lines.splitlines() if line)
+    return f"```{'sh' if dense.startswith('ekfslam') else 'text'}\n{dense}```\n\n"
 
 
 def head_modules(text: str) -> str:
@@ -145,6 +154,20 @@ def read_source(app, docname, source):
     source[0] = text
 
 
+def skip_aliases(app, what, name, obj, skip, options):
+    """Fields of a named tuple that its docstring does not describe are left out."""
+    return True if (getattr(obj, "__doc__", "") or "").startswith("Alias for field") else None
+
+
+def join_colons(app, what, name, obj, options, lines):
+    """A colon in the line of a property is one; napoleon takes what stands before it for a type."""
+    for i, line in enumerate(lines):
+        if what in ("attribute", "data", "property") and line.startswith(":type: "):
+            lines[0] = f"{line.removeprefix(':type: ')}: {lines[0]}"
+            del lines[i]
+            break
+
+
 def resolve_reference(app, env, node, contnode):
     """Links names to where they are defined, as ``ekfslam.Estimate`` is in ``ekfslam.estimates``.
 
@@ -179,5 +202,7 @@ def setup(app):
     """Connect the hooks."""
     app.add_lexer("csv", TextLexer)
     app.connect("source-read", read_source)
+    app.connect("autodoc-skip-member", skip_aliases)
+    app.connect("autodoc-process-docstring", join_colons, priority=600)  # after napoleon
     app.connect("missing-reference", resolve_reference)
     app.connect("build-finished", lead_from_root)

@@ -16,6 +16,7 @@ from typing import Any
 from unittest.mock import patch
 
 import nbformat
+import numpy as np
 from nbclient import NotebookClient
 from PIL import Image
 
@@ -23,6 +24,7 @@ FOLDER = Path(__file__).parents[1] / "notebooks"
 LIVE = "live"
 """Tag of a cell whose outputs are not kept: times of a machine, and sliders without a kernel."""
 COLORS = 128  # of a kept picture: a third of its size, and no eye sees it
+AREAS = 16  # of these: what covers most of the picture, as it is
 NONE = Image.Dither.NONE
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 ROUND_OFF = 1e-9
@@ -75,11 +77,21 @@ def cleaned(notebook: Any) -> Any:
 
 def smaller(picture: str) -> str:
     """A base64 PNG with a palette."""
-    stream = BytesIO()
     with Image.open(BytesIO(base64.b64decode(picture))) as image:
-        # This method keeps rare colours, such as that of a thin line.
-        palette = image.convert("RGB").quantize(COLORS, Image.Quantize.MAXCOVERAGE, dither=NONE)
-        palette.save(stream, "png", optimize=True)
+        full = image.convert("RGB").point(lambda value: value | 3)  # nearly white is white
+    # Areas keep their colour, such as the grey of a band; this method keeps rare ones, such as
+    # that of a thin line.
+    areas = [color for _, color in sorted(full.getcolors(2**24), reverse=True)[:AREAS]]
+    rare = full.quantize(COLORS - AREAS, Image.Quantize.MAXCOVERAGE, dither=NONE).getpalette()
+    palette = np.array([*np.ravel(areas), *rare[: 3 * (COLORS - AREAS)]]).reshape(-1, 3)
+    numbers = np.asarray(full, dtype=int) @ [1 << 16, 1 << 8, 1]
+    found, where = np.unique(numbers, return_inverse=True)
+    colors = np.stack([found >> 16, found >> 8 & 255, found & 255], axis=1)
+    nearest = np.argmin(((colors[:, None] - palette) ** 2).sum(axis=2), axis=1)
+    indexed = Image.fromarray(nearest[where].reshape(numbers.shape).astype(np.uint8))
+    indexed.putpalette(palette.astype(np.uint8).tobytes())
+    stream = BytesIO()
+    indexed.save(stream, "png", optimize=True)
     return base64.b64encode(stream.getvalue()).decode()
 
 

@@ -29,7 +29,7 @@ DIRECTIVES = {"{eval-rst}", "{toctree}"}
 SHORTER = {
     "README.md": {
         '["park", "victoria-park"], ["ekf"': '["park", "cloister"], ["ekf"',
-        ', "results/mine", workers=2': ', "results/mine"',
+        ', "results/many", workers=2': ', "results/many"',
         'save("results/mine")': 'save("results/mine", figures=False)',
     },
     "docs/pytest.md": {

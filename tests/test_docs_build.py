@@ -92,6 +92,16 @@ def test_every_command_is_described_with_its_options(site):
             described(each, [*words, name])
 
     described(typer.main.get_command(app), ["ekfslam"])
+    assert not re.search(r"\[/?(bold|dim)\]|–out|`", page)
+
+
+def test_fields_without_a_description_are_left_out(site):
+    assert not [name for name, page in site.items() if "Alias for field" in page]
+
+
+def test_the_line_of_a_property_is_whole(site):
+    page = re.sub(r"<[^>]+>", "", site["docs/reference/data"])
+    assert "Row of the first observation of each step, (K + 2,): step k has" in page
 
 
 def test_every_name_of_the_package_is_in_the_reference():
