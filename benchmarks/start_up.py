@@ -37,5 +37,5 @@ def start_up() -> list[list[Any]]:
     return [
         alone("first run, nothing compiled", cold, "s", 20),
         alone("first run, compiled before", warm, "s"),
-        alone("ekfslam --help", statistics.median(times), "s", 0.6),
+        alone("`ekfslam --help`", statistics.median(times), "s", 0.6),
     ]

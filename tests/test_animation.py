@@ -211,7 +211,7 @@ def test_a_film_that_makes_no_sense_is_refused(options, message, tmp_path, monke
 
 
 def test_the_command_writes_a_film(tmp_path):
-    command = [sys.executable, "-m", "ekfslam.cli", "animate", "cloister", "--every", "100"]
+    command = [sys.executable, "-m", "ekfslam", "animate", "cloister", "--every", "100"]
     command += ["--width", "200", "--out", str(tmp_path / "run.gif")]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr

@@ -55,6 +55,7 @@ FLOORS: dict[int, tuple[tuple[str, ...], ...]] = {
     5: (("ekfslam.experiments",), ("ekfslam.validation",), ("baselines",)),
     6: (("ekfslam.report",), ("ekfslam.testing",)),
     7: (("ekfslam.cli",),),
+    8: (("ekfslam.__main__",),),
 }
 
 # Where a library may be imported at run time; nowhere else.

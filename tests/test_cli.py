@@ -143,7 +143,7 @@ def test_nothing_heavy_is_imported_before_it_is_needed(words):
 
 def test_the_installed_command_and_the_module_are_the_same():
     command = os.path.join(os.path.dirname(sys.executable), "ekfslam")
-    for words in ([command], [sys.executable, "-m", "ekfslam.cli"]):
+    for words in ([command], [sys.executable, "-m", "ekfslam"]):
         run = subprocess.run(
             [*words, "compare", "nowhere"], capture_output=True, text=True, env=PLAIN, check=False
         )
@@ -313,7 +313,7 @@ def test_a_narrow_terminal_shows_every_number(words, small):
     pty = pytest.importorskip("pty")
     here, there = pty.openpty()
     run = subprocess.Popen(
-        [sys.executable, "-m", "ekfslam.cli", *words.split()],
+        [sys.executable, "-m", "ekfslam", *words.split()],
         cwd=small.parent,
         stdout=there,
         stderr=subprocess.DEVNULL,

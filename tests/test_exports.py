@@ -24,7 +24,7 @@ from ekfslam.moments import until
 
 
 def run(*arguments, **environment):
-    command = [sys.executable, "-m", "ekfslam.cli", "export", *map(str, arguments)]
+    command = [sys.executable, "-m", "ekfslam", "export", *map(str, arguments)]
     return subprocess.run(
         command, capture_output=True, text=True, check=False, env=os.environ | environment
     )

@@ -99,13 +99,13 @@ def compare(
     from ekfslam.experiments.attempts import Stopped
     from ekfslam.experiments.compare import DATASETS
     from ekfslam.experiments.compare import compare as run
-    from ekfslam.experiments.files import check_folder, check_form
+    from ekfslam.experiments.files import COMPARISON, check_folder, check_form
     from ekfslam.registry import split
 
     check_output(as_json, as_csv)
     check_form(tables, every)
     if out is not None:
-        check_folder(out)
+        check_folder(out, COMPARISON)
     stopped = None
     try:
         with progress() as watch:

@@ -68,7 +68,7 @@ def association(
     from ekfslam.experiments.files import check_folder
     from ekfslam.registry import split
 
-    check_folder(out)
+    check_folder(out, "study association")
     try:
         factors = [float(word) for word in split(scales)]
     except ValueError:
@@ -116,7 +116,7 @@ def partial(
     from ekfslam.experiments import partial_study
     from ekfslam.experiments.files import check_folder
 
-    check_folder(out)
+    check_folder(out, "study partial")
     try:
         with progress() as watch:
             found = partial_study(seeds, workers=workers, watch=watch)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import platform
@@ -23,13 +24,24 @@ SCRATCH = ".unfinished-"  # how folders are called whose files are on their way
 PACKAGES = ("ekfslam", "gtsam", "numpy", "scipy", "pandas", "numba", "matplotlib")
 
 
-def check_folder(folder: str | Path) -> None:
-    """Refuse a folder that cannot be written to, before hours of work depend on it.
+COMPARISON, CAMPAIGN = "a comparison", "a campaign"
+"""What a folder may hold results of; or of ``study NAME``."""
+
+
+def check_folder(folder: str | Path, kind: str) -> None:
+    """Refuse a folder that results cannot be written to, before hours of work depend on it.
+
+    Parameters
+    ----------
+    folder : path
+    kind : str
+        What the results are of.
 
     Raises
     ------
     InputError
-        If it is a file, or neither it nor the nearest folder above can be written to.
+        If it is a file, neither it nor the nearest folder above can be written to, or it holds
+        results of another kind, which would be lost.
     """
     place = Path(folder).absolute()
     while not place.exists():
@@ -38,12 +50,38 @@ def check_folder(folder: str | Path) -> None:
         raise InputError(f"cannot write to {folder}: there is no folder {place}")
     if not os.access(place, os.W_OK):
         raise InputError(f"cannot write to {folder}: permission denied")
+    _check_kind(Path(folder), kind)
+
+
+def _check_kind(folder: Path, kind: str) -> None:
+    held = _kind(folder / "config.json")
+    if held not in ("", kind):
+        raise InputError(f"{folder} holds {held}, not {kind}: give another folder")
+
+
+def _kind(path: Path) -> str:
+    """What the results beside a ``config.json`` are of; empty if there is none."""
+    if not path.exists():
+        return ""
+    try:
+        config = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        config = None
+    if isinstance(config, dict):
+        if "campaign" in config:
+            return CAMPAIGN
+        if "study" in config:
+            return f"study {config['study']}"
+        if "datasets" in config and "estimators" in config:
+            return COMPARISON
+    return "a config.json of something else"
 
 
 def write_together(folder: str | Path, write: Callable[[Path], None]) -> list[Path]:
     """Write files into a folder, which is made if needed.
 
-    The files appear when all of them have been written; if anything goes wrong, none does.
+    The files appear when all of them have been written; if anything goes wrong, none does. Results
+    of another kind stay.
 
     Parameters
     ----------
@@ -59,7 +97,7 @@ def write_together(folder: str | Path, write: Callable[[Path], None]) -> list[Pa
     Raises
     ------
     InputError
-        If the folder cannot be written to.
+        If the folder cannot be written to, or holds results of another kind.
     """
     folder = Path(folder)
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
@@ -70,6 +108,8 @@ def write_together(folder: str | Path, write: Callable[[Path], None]) -> list[Pa
         scratch = Path(tempfile.mkdtemp(prefix=SCRATCH, dir=folder))
         write(scratch)
         written = sorted(scratch.iterdir())
+        if (scratch / "config.json").exists():
+            _check_kind(folder, _kind(scratch / "config.json"))
         for path in written:
             os.replace(path, folder / path.name)
         done = True

@@ -185,7 +185,7 @@ def recorded_study(
     here = [case for case in wanted if case.dataset not in missing]
     if not here:
         raise InputError("no recorded set is here: give the folder of the sets (--data PATH)")
-    check_folder(out)
+    check_folder(out, "study recorded")
     task = partial(_run, tuple(estimators), path, Path(out))
     found = []
     with mapped(workers, task, here) as results:

@@ -16,7 +16,7 @@ from ekfslam.experiments.attempts import Watch
 from ekfslam.experiments.campaign import Campaign
 from ekfslam.experiments.cells import versions_in_words
 from ekfslam.experiments.cluster import run_units
-from ekfslam.experiments.files import check_folder, versions, write_together
+from ekfslam.experiments.files import CAMPAIGN, check_folder, versions, write_together
 from ekfslam.experiments.reading import load_campaign
 from ekfslam.experiments.results import CampaignResults, read_campaign
 from ekfslam.experiments.store import FILE, SUPERSEDED, Identity, Store, identity, unit_name
@@ -80,7 +80,7 @@ def run_campaign(
         raise InputError(f"workers must be a whole number from 1 on, got {workers!r}")
     if scheduler is not None and workers != 1:
         raise InputError("workers are those of the cluster: give either workers or a scheduler")
-    check_folder(out)
+    check_folder(out, CAMPAIGN)
     store = Store(out)
     with store.opened():
         done = _settled(campaign, store, retry_failed, tell or logger.info)

@@ -1,4 +1,4 @@
-"""``python -m ekfslam.cli`` is the command."""
+"""``python -m ekfslam`` is the command."""
 
 from ekfslam.cli import main
 
