@@ -109,7 +109,7 @@ def _formed(colors: Iterable[str]) -> tuple[Look, ...]:
     return tuple(Look(color, *form) for form, color in product(_FORMS, colors))
 
 
-_OTHERS = _formed(["#E105FB", "#CCBB66", "#9D2B15", "#6C1923"])  # which none of ours has, either
+_OTHERS = _formed(["#E105FB", "#9CA45A", "#9D2B15", "#6C1923"])  # which none of ours has, either
 _SPARE = _formed(own.color for own in LOOKS.values())  # where many of them, and few of ours, meet
 _CLOSE = 18.0  # distance of colours below which another is looked for
 
