@@ -228,6 +228,32 @@ def test_map_leaves_out_what_has_no_ellipse(run, figures):
         assert counts[1:] == [len(c.get_segments()) for c in whole[1:]]
 
 
+def test_no_ellipse_at_the_edge_of_the_map_looks_as_if_it_ended_there(run):
+    trajectories, landmarks = run
+    (axes,) = plots.plot_map(*run).axes
+    extent = np.ptp(axes.get_xlim())
+    wide = landmarks.reset_index(drop=True)
+    wide["cov_xx"] = wide["cov_yy"] = (extent / 30) ** 2
+    wide["cov_xy"] = 0.0
+    (axes,) = plots.plot_map(trajectories, wide).axes
+    vertices = np.concatenate(axes.collections[0].get_segments())  # of the first estimator
+    low, high = np.transpose([axes.get_xlim(), axes.get_ylim()])
+    assert (low < vertices).all()
+    assert (vertices < high).all()
+    assert np.abs(vertices).max() > 0.55 * extent  # out of what there was room for without them
+    wide.loc[0, "cov_xx"] = 1e6  # nothing else would be seen
+    (axes,) = plots.plot_map(trajectories, wide).axes
+    assert np.ptp(axes.get_xlim()) < 1.5 * extent
+
+
+def test_the_legend_says_whose_landmarks_leave_the_map(run):
+    trajectories, landmarks = run
+    ekf = (landmarks["estimator"] == "ekf").to_numpy()
+    away = landmarks.assign(x_m=landmarks["x_m"] + np.where(ekf, 500.0, 0.0))
+    leaving = [label for label in legend(plots.plot_map(trajectories, away)) if "leaves" in label]
+    assert "ekf (online), leaves the frame" in leaving
+
+
 # Errors ----------------------------------------------------------------------------------------
 
 

@@ -64,6 +64,8 @@ class Comparison:
     def plot_map(self, dataset: str | None = None, **options: Any) -> Figure:
         """Map with trajectories, landmarks and 3-sigma ellipses.
 
+        Where nobody maps landmarks, those of the known map are shown.
+
         Parameters
         ----------
         dataset : str, optional
@@ -77,9 +79,10 @@ class Comparison:
         status = self._of(self.summary, name).set_index("estimator")["status"]
         absent = [f"{who} ({why})" for who, why in status.items() if why in (FAILED, SKIPPED)]
         options = {"absent": absent} | options
-        return plot_map(
-            self._of(self.trajectories, name), self._of(self.landmarks, name), **options
-        )
+        landmarks, known = self._of(self.landmarks, name), self.datasets[name].known_map
+        if known is not None and landmarks.empty:
+            options = {"known": known.positions} | options
+        return plot_map(self._of(self.trajectories, name), landmarks, **options)
 
     def plot_errors(
         self, dataset: str | None = None, robot: str | None = None, **options: Any
