@@ -30,7 +30,9 @@ def test_a_thin_line_of_a_filter_of_a_user_is_seen_on_white():
 
     def contrast(color):
         c = np.array(to_rgb(color))
-        return 1.05 / (0.05 + np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4) @ XYZ[1])
+        return 1.05 / (
+            0.05 + np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4) @ XYZ[1]
+        )
 
     least = min(contrast(look.color) for look in LOOKS.values())
     for color in {plots.look(f"filter-{k}").color for k in range(50)}:

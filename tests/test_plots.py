@@ -362,6 +362,17 @@ def test_time_per_step_is_in_microseconds_on_a_logarithmic_axis(run):
 # Style -----------------------------------------------------------------------------------------
 
 
+def test_few_steps_and_times_close_together_have_axes_with_plain_numbers(run):
+    short = of(run[0], "ekf")[:3].assign(time_step_s=[3.1e-6, 6.2e-6, 12e-6])
+    figure = plots.plot_times(short)
+    (axes,) = figure.axes
+    FigureCanvasAgg(figure).draw()
+    words = [label.get_text() for label in axes.get_yticklabels(which="both") if label.get_text()]
+    assert {"4", "6", "10"} <= set(words)
+    assert all(float(word) > 0 for word in words)  # and no power of ten
+    assert all(place == int(place) for place in axes.get_xticks())
+
+
 def test_an_estimator_has_one_colour_in_every_figure(figures):
     for estimator, series in [SERIES[0], SERIES[2], SERIES[4]]:
         (panel,) = [a for a in figures["consistency"].axes if f"pose, {series}" in a.get_title()]
@@ -537,8 +548,14 @@ def test_a_figure_fits_the_width_that_is_asked_for(run, name):
 
 
 def test_the_title_says_of_whom_there_is_nothing_to_show(run):
-    figure = plots.plot_map(*run, absent=["mine (failed)"])
-    assert figure.get_suptitle().endswith("\nnothing to show of mine (failed)")
+    blind = without_truth(run)[0]
+    for figure in (
+        plots.plot_map(*run, absent=["mine (failed)"]),
+        plots.plot_errors(run[0], absent=["mine (failed)"]),
+        plots.plot_errors(blind, absent=["mine (failed)"]),
+    ):
+        assert figure.get_suptitle().endswith("\nnothing to show of mine (failed)")
+    assert "nothing" not in plots.plot_errors(run[0]).get_suptitle()
 
 
 # Several robots --------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from ekfslam.plots.rows import (
     series_of,
     typical,
 )
-from ekfslam.plots.style import PAGE, TRUTH, Key, add_key, drawing, titled
+from ekfslam.plots.style import PAGE, TRUTH, Key, add_key, drawing, titled, without
 from ekfslam.plots.thinning import MOST_ELLIPSES, largest, many
 
 SIGMAS = 3.0
@@ -87,7 +87,7 @@ def plot_map(
     truth = _finite(np.concatenate([*true_paths, true_map]))
     corners = frame(truth, [(np.concatenate(c.paths), c.landmarks) for c in contents])
     low, high = widened(corners, [each for content in contents for each in content.contours])
-    heading = titled(width, _heading(title, contents), _absent(absent))
+    heading = titled(width, _heading(title, contents), without(absent))
     extent = high - low
     key = Key.of([*(c.series.label for c in contents), *_TRUE], width, most=3)
     height = _height(extent, width) + key.height + 0.5 + 0.15 * heading.count("\n")
@@ -111,11 +111,6 @@ def _heading(title: str, contents: list[_Content]) -> str:
     crowded = any(content.crowded for content in contents)
     which = f" (the {MOST_ELLIPSES} largest of an estimator)" if crowded else ""
     return f"{title}: map with 3σ ellipses{which}"
-
-
-def _absent(names: Iterable[str]) -> str:
-    listed = ", ".join(names)
-    return f"nothing to show of {listed}" if listed else ""
 
 
 # What there is to show --------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, NullLocator
 
 from ekfslam.geometry import Array
 from ekfslam.plots.rows import numbers
@@ -144,6 +144,12 @@ def label_decades(axis: Axis, span: float) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 3.0) if span < 1e3 else (1.0,), numticks=7))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(_plain))
+
+
+def plain_numbers(axis: Axis) -> None:
+    """As they are read, on a logarithmic axis: also between the powers of ten, where it has few."""
+    axis.set_major_formatter(FuncFormatter(_plain))
+    axis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(1.0, 0.4)))
 
 
 def _plain(value: float, _: object) -> str:

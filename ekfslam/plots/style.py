@@ -206,6 +206,12 @@ def titled(width: float, *paragraphs: str) -> str:
     return "\n".join(textwrap.fill(each, letters) for each in paragraphs if each)
 
 
+def without(names: Iterable[str]) -> str:
+    """What a title says of those who are not in the figure."""
+    listed = ", ".join(names)
+    return f"nothing to show of {listed}" if listed else ""
+
+
 @contextmanager
 def style() -> Iterator[None]:
     """Settings of matplotlib for figures made or saved inside the ``with`` block."""
