@@ -16,6 +16,7 @@ from ekfslam.plots.sheets import (
     LARGEST,
     Row,
     add_legend,
+    counted,
     label_decades,
     numbered,
     rows_of,
@@ -114,7 +115,7 @@ def _draw(row: Row, lines: Mapping[str, _Line], found: Mapping[str, Look]) -> Fi
     levels = [name for name in row.estimators if name not in in_lines]
     own = {title: LOOKS.get(title) or found[next(iter(n.names))] for title, n in lines.items()}
     counts = numbers(row.table, "runs")
-    runs = f"{int(counts.min())} to " * bool(np.ptp(counts)) + f"{int(counts.max())} runs each"
+    runs = counted(int(counts.min()), int(counts.max()), "run") + " each"
     with sheet(f"{row.title}: {runs}; bars are one standard error", [2.3], len(shown)) as axes:
         for measure, panel in zip(shown, axes[0], strict=True):
             for title, line in lines.items():

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from ekfslam.geometry import Array
 from ekfslam.plots.rows import numbers
-from ekfslam.plots.sheets import LARGEST, Row, add_legend, numbered, rows_of, scale, sheet
+from ekfslam.plots.sheets import LARGEST, Row, add_legend, counted, numbered, rows_of, scale, sheet
 from ekfslam.plots.style import TRUTH, Look
 
 _DODGE = 0.03  # how far aside of each other estimators are drawn in all, as a share of the abscissa
@@ -154,8 +154,7 @@ def _draw(row: Row, sweep: _Sweep, found: Mapping[str, Look]) -> Figure:
 
 def _runs(row: Row) -> str:
     counts = numbers(row.table, "runs")
-    few, many = int(counts.min()), int(counts.max())
-    return f"{many} runs each" if few == many else f"{few} to {many} runs each"
+    return counted(int(counts.min()), int(counts.max()), "run") + " each"
 
 
 def _draw_measure(
