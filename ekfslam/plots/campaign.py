@@ -67,8 +67,8 @@ def plot_campaign(
         | plot_run_means(runs, summary, title, found, lacking)
         | plot_errors_over_time(kept, title, found, lacking)
         | plot_pairs(pairs, title, found, lacking)
-        | plot_sweeps(summary, config, found)
-        | plot_options(summary, found)
+        | plot_sweeps(summary, config, found, lacking)
+        | plot_options(summary, found, lacking)
     )
 
 

@@ -125,7 +125,7 @@ def plot_times(trajectories: pd.DataFrame, width: float = PAGE) -> Figure:
                 rasterized=many(len(times)),
                 label=labels[name],
             )
-        axes.xaxis.set_major_locator(MaxNLocator("auto", integer=True))
+        axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
         plain_numbers(axes.yaxis)
         finish(figure, titled(width, f"{title}: time of each step"), [axes])
     return figure

@@ -26,6 +26,7 @@ LARGEST = 1e6
 
 _TALLEST = 8.5  # of the panels of a page together [in]
 _AROUND = 0.9  # its title and legend [in]
+_HEAD = 0.15  # room for words above what is drawn, as a share of it
 
 
 class Row(NamedTuple):
@@ -124,6 +125,12 @@ def add_legend(
     add_key(figure, handles | dict(others or {}), most=5, handlelength=2.6)  # a whole dash-dot
 
 
+def ends(values: Array, bars: Array) -> Array:
+    """What an axis should show of values with bars: not where one goes down to almost nothing."""
+    low, high = values - np.nan_to_num(bars), values + np.nan_to_num(bars)
+    return np.concatenate([values, high, low[low > values / 3]])
+
+
 def scale(axes: Axes, values: Array, inside: tuple[float, float], most: float) -> None:
     """Range of an ordinate of positive numbers: logarithmic if they span more than a decade.
 
@@ -143,6 +150,7 @@ def scale(axes: Axes, values: Array, inside: tuple[float, float], most: float) -
     high = max(float(shown.max(initial=inside[1])), inside[1])
     if len(shown) < len(positive):
         say(axes, f"values above {plain(most)} are cut off")
+        high *= (high / low) ** _HEAD if high > 10 * low else 1 + _HEAD
     if high > 10 * low:
         axes.set(yscale="log", ylim=(low / 1.3, high * 1.3))
         label_decades(axes.yaxis, high / low)
