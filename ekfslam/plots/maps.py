@@ -32,6 +32,9 @@ _ROOM = 1.25  # an estimate is in full view if it makes the map larger by no mor
 _REACH = 0.15  # ellipses are in full view if they reach out of it by no more than this share of it
 
 
+_PLACES = (("true_x_m", "true_y_m"), ("x_m", "y_m"))
+
+
 class _Content(NamedTuple):
     """What the map shows of an estimator."""
 
@@ -57,7 +60,7 @@ def plot_map(
     title says, and smaller marks. A path breaks where it is not known, and a position that is known
     by itself is a dot. The frame holds the truth, or without one what most estimators agree on,
     every path and map that is not much larger, and ellipses at its edge; the legend says of whom a
-    path or landmarks leave it.
+    path or landmarks leave it. Of several robots each has its name where it starts.
 
     Parameters
     ----------
@@ -99,6 +102,7 @@ def plot_map(
         _draw_truth(axes, true_paths, true_map)
         ends = [(path, c.series.look.color) for c in contents for path in c.paths]
         _draw_ends(axes, ends + [(path, TRUTH) for path in true_paths])
+        _name_robots(axes, trajectories)
         figure.suptitle(heading)
         handles, labels = axes.get_legend_handles_labels()
         add_key(figure, dict(zip(labels, handles, strict=True)), most=3)
@@ -296,3 +300,16 @@ def _draw_ends(axes: Axes, paths: list[tuple[Array, str]]) -> None:
     for path, color in paths:
         axes.plot(*path[-1], "s", color=color, markersize=4, **edge)
     axes.plot([], [], "s", color=TRUTH, markersize=4, label="end", **edge)
+
+
+def _name_robots(axes: Axes, trajectories: pd.DataFrame) -> None:
+    """Where several robots start, by the truth or else by the first who says."""
+    if trajectories["robot"].nunique() < 2:
+        return
+    for name, rows in trajectories.groupby("robot", sort=False):
+        places = _finite(np.concatenate([numbers(rows, *c) for c in _PLACES]))
+        if len(places):
+            box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
+            look: dict[str, Any] = {"fontsize": 7, "bbox": box, "zorder": 6, "clip_on": True}
+            beside: dict[str, Any] = {"xytext": (5, 4), "textcoords": "offset points"}
+            axes.annotate(str(name), places[0], **beside, **look)
