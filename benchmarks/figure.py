@@ -37,14 +37,13 @@ def draw(table: pd.DataFrame) -> Picture:
         ("a step that sees nothing", ring[others], "us_per_prediction"),
     ]
     shown = OTHERS | looks(name for name in table.estimator if name not in {LIMIT, *OTHERS})
-    with drawing(PAGE, 5.6) as figure:
+    with drawing(PAGE, 5.8) as figure:
         axes = figure.subplots(2, 2).ravel()
         for letter, ax, (title, rows, column) in zip("abcd", axes, panels, strict=True):
             _panel(ax, rows, column, shown)
             ax.set_title(f"({letter}) {title}")
             per = "observation" if column == "us_per_observation" else "prediction"
             ax.set_ylabel(f"time per {per} [µs]")
-        for ax in axes[2:]:
             ax.set_xlabel("landmarks in the map")
         handles = {
             label: handle

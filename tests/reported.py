@@ -88,7 +88,7 @@ class Page(HTMLParser):
         tag = self._open[-1] if self._open else ""
         if text.strip():
             self.texts.append((tag, text.strip()))
-        if tag == "caption":
+        if "caption" in self._open:
             self.tables[text] = self._table
         elif tag in ("td", "th") and "tbody" in self._open:
             _, value = self._table.rows[-1][-1]

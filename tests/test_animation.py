@@ -18,11 +18,11 @@ from PIL import Image
 
 import ekfslam
 from ekfslam.errors import InputError
-from ekfslam.estimates import FAILED
+from ekfslam.estimates import FAILED, Trajectory
 from ekfslam.experiments.film import animate, pictured, so_far
 from ekfslam.moments import until
 from ekfslam.plots import look
-from ekfslam.plots.animation import Film, _Stage, save_film
+from ekfslam.plots.animation import Film, _palette, _Stage, save_film
 from ekfslam.plots.style import TRUTH
 
 STEPS = [10, 60, 140]
@@ -123,13 +123,52 @@ def test_a_gif_has_a_picture_for_each_step(film, tmp_path):
     for index, picture in enumerate(pictures):
         whole = np.asarray(expected.picture(index), dtype=int)
         assert np.abs(picture - whole).mean() < 2  # of 255: the palette has 128 colours
-    for color in (look("ekf").color, TRUTH):
+    for color in (look("gtsam-batch").color, TRUTH):
         away = np.abs(pictures[-1] - 255 * np.array(to_rgb(color))).max(axis=2)
         assert (away < 40).sum() > 20
     assert path.stat().st_size < 200_000
     again = save_film(film, tmp_path / "again.gif", fps=10, width=301)
     assert again.read_bytes() == path.read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["again.gif", "run.gif"]
+
+
+def drifting(film):
+    """The film with one who goes away, and with one of whom there is nothing."""
+    run = film.estimates["dead-reckoning"]
+    far = [
+        replace(each, online=Trajectory(each.online.poses + np.array([500.0, 0.0, 0.0])))
+        for each in run
+    ]
+    nothing = [replace(each, online=None, status=FAILED) for each in run]
+    return film._replace(estimates={**film.estimates, "mine": far, "broken": nothing})
+
+
+def test_the_legend_of_a_film_says_who_is_not_in_its_pictures(film):
+    words = [
+        t.get_text().replace("\n", " ") for t in _Stage(drifting(film), 300).figure.legends[0].texts
+    ]
+    assert "mine (online), leaves the frame" in words
+    assert "broken (failed)" in words
+    assert sum("leaves" in word for word in words) == 1
+
+
+def test_the_palette_of_a_gif_has_the_colour_of_each_estimator(film):
+    """Also of one whose only line is in the legend."""
+    stage = _Stage(drifting(film), 300)
+    values = _palette(stage.picture(2), stage.colors).getpalette()
+    assert len(values) <= 3 * 128
+    found = set(zip(values[::3], values[1::3], values[2::3], strict=True))
+    assert (255, 255, 255) in found
+    assert len(stage.colors) == 5
+    for color in stage.colors:
+        assert tuple(round(255 * value) for value in to_rgb(color)) in found
+
+
+def test_the_axes_of_a_film_fill_it(film):
+    figure = _Stage(film, 600).figure
+    (axes,) = figure.axes
+    title, frame = figure._suptitle.get_window_extent(), axes.get_window_extent()
+    assert 0 < title.y0 - frame.y1 < 0.2 * figure.dpi
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="there is no ffmpeg")

@@ -210,6 +210,44 @@ def test_an_estimator_that_is_lost_is_cut_off_and_said_to_be(tables):
     assert panels[2].get_ylim() == before[2].get_ylim()
 
 
+def test_a_lost_filter_does_not_squash_the_nees_of_the_others_over_time(tables):
+    fine = tables[1][(tables[1]["scenario"] == label("1 deg"))]
+    lost = fine[fine["estimator"] == "ekf-ri"].assign(estimator="ekf")
+    lost[["nees", "nees_invariant"]] = 1e9
+    figure = over_time(plot_nees_over_time, pd.concat([fine[fine["estimator"] == "ekf-ri"], lost]))
+    alone = over_time(plot_nees_over_time, fine[fine["estimator"] == "ekf-ri"])
+    for (low, high), (own_low, own_high) in zip(
+        *([axes.get_ylim() for axes in each.axes] for each in (figure, alone)), strict=True
+    ):
+        assert low == own_low
+        assert own_high < high < 2 * own_high  # room for the words
+    assert [text.get_text() for text in figure.axes[0].texts] == [
+        "values above $10^{6}$ are cut off"
+    ]
+    assert not alone.axes[0].texts
+
+
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_titles_say_who_failed_at_every_seed(tables, config, everywhere):
+    runs, steps = tables
+    mine = runs[runs["estimator"] == "ekf"].assign(estimator="mine")
+    failed = everywhere | (mine["scenario"] == label("1 deg"))
+    mine.loc[failed, "status"] = "failed"
+    mine.loc[failed, [*METRICS, "nees_pose_invariant_mean_kept"]] = np.nan
+    figures = plot_campaign(
+        summary=summarise(pd.concat([runs, mine], ignore_index=True), steps),
+        over_time=nees_over_time(steps),
+        runs=pd.concat([runs, mine], ignore_index=True),
+        pairs=compare_pairs(runs, METRICS, [("ekf-ri", "ekf")]),
+        config=config | {"estimators": dict.fromkeys(["ekf", "ekf-ri", "mine"], "")},
+    )
+    where = "" if everywhere else f" on {label('1 deg')}"
+    assert set(figures) == {"nees-over-time", "run-means", "errors-over-time", "pairs", "sweep"}
+    for stem in figures:
+        title = figures[stem].get_suptitle().replace("\n", " ")
+        assert title.endswith(f" nothing to show of mine (failed{where})")
+
+
 def test_long_runs_are_thinned_out_and_keep_their_ends():
     steps = steps_of(np.random.default_rng(3), SEEDS, np.arange(1000))
     times = drawn(over_time(plot_nees_over_time, steps).axes[0], "ekf").get_xdata()
@@ -268,7 +306,11 @@ def test_a_run_without_a_finite_nees_is_counted_and_spoils_nothing(tables):
     runs.loc[second, "nees_pose_mean_kept"] = 1e30
     (figure,) = plot_run_means(runs, summarise(runs), "trial", LOOKS).values()
     assert figure.axes[1].texts[1].get_text() == "2 of 30"
-    assert figure.axes[0].get_xlim()[1] < 2e6
+    assert figure.axes[0].get_xlim()[1] < 2e3
+    assert "above" not in " ".join(text.get_text() for text in figure.legends[0].get_texts())
+    runs.loc[runs["estimator"] == "ekf-ri", "nees_pose_mean_kept"] = 1e30
+    (figure,) = plot_run_means(runs, summarise(runs), "trial", LOOKS).values()
+    assert figure.legends[0].get_texts()[-1].get_text() == "median above $10^{6}$"
 
 
 # Pairs -------------------------------------------------------------------------------------------
@@ -315,6 +357,21 @@ def test_differences_over_decades_are_drawn_on_a_scale_that_shows_all(tables):
     pairs = compare_pairs(wide, METRICS, [("ekf-ri", "ekf")])
     near, far = plot_pairs(pairs, "trial", LOOKS)["pairs"].axes[:2]
     assert (near.get_xscale(), far.get_xscale()) == ("linear", "symlog")
+    FigureCanvasAgg(far.figure).draw()
+    frame = far.get_window_extent()
+    for container in far.containers:  # no mark at the edge is half of one
+        mark = container.lines[0].get_window_extent()
+        assert frame.x0 < mark.x0 - 3 < mark.x1 + 3 < frame.x1
+
+
+def test_too_few_seeds_are_no_verdict(tables):
+    few = tables[0][tables[0]["seed"] < 3]
+    for runs, words in ((few, "too few seeds to tell"), (tables[0], "not seen")):
+        pairs = compare_pairs(runs, METRICS, [("ekf-ri", "ekf")])
+        (figure,) = plot_pairs(pairs, "trial", LOOKS).values()
+        said = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert said[-1] == words
+        assert (len(said) == 1) == (words != "not seen")
 
 
 def test_a_series_that_competes_has_the_colour_of_its_estimator(tables):

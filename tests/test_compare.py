@@ -91,6 +91,12 @@ def only(table, **keys):
 # Tables -----------------------------------------------------------------------------------------
 
 
+def test_the_map_of_those_who_know_it_shows_the_landmarks_that_they_know(data):
+    (axes,) = compare(data, "ekf-localization").plot_map().axes
+    (shown,) = [line for line in axes.lines if line.get_label() == "true landmark"]
+    np.testing.assert_array_equal(np.column_stack(shown.get_data()), data.known_map.positions)
+
+
 def test_the_tables_have_the_documented_columns(comparison):
     assert list(comparison.summary.columns) == SUMMARY.split()
     for name, schema in tables.SCHEMAS.items():

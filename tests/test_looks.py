@@ -18,11 +18,26 @@ def test_looks_differ_and_do_not_depend_on_the_process():
     assert len({look.color for look in LOOKS.values()}) == len(LOOKS)
     assert len({look.marker for look in LOOKS.values()}) == len(LOOKS)
     # Python's own hash of a string changes from one process to the next.
-    assert plots.look("fastslam") == ("#CCBB66", (4, 1, 0), "-")
-    assert plots.look("fej-ekf") == ("#CCBB66", (4, 1, 45), ":")
+    assert plots.look("fastslam") == ("#9CA45A", (4, 1, 0), "-")
+    assert plots.look("fej-ekf") == ("#9CA45A", (4, 1, 45), ":")
     for taken in ("color", "marker"):
         ours = {getattr(look, taken) for look in LOOKS.values()}
         assert not {getattr(plots.look(f"filter-{k}"), taken) for k in range(50)} & ours
+
+
+def test_a_thin_line_of_a_filter_of_a_user_is_seen_on_white():
+    """Contrast of lightness (WCAG 2.1): none is fainter than ours, and none is near white."""
+
+    def contrast(color):
+        c = np.array(to_rgb(color))
+        return 1.05 / (
+            0.05 + np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4) @ XYZ[1]
+        )
+
+    least = min(contrast(look.color) for look in LOOKS.values())
+    for color in {plots.look(f"filter-{k}").color for k in range(50)}:
+        assert contrast(color) > max(least, 2.5)
+        assert distance(color, "#ffffff") > 40
 
 
 # What is left of linear RGB without the red or the green cones (Machado et al. 2009, severity 1).

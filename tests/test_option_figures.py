@@ -64,3 +64,12 @@ def test_what_is_recovered_or_drawn_changes_no_look():
     assert look("gtsam-isam2(marginal_every=20)") == LOOKS["gtsam-isam2"]
     assert look("fastslam2(seed=4)") == LOOKS["fastslam2"]
     assert look("gtsam-fixed-lag(lag=9, marginals=False)") != LOOKS["gtsam-fixed-lag"]
+
+
+def test_no_bar_ends_at_the_frame(summary):
+    wide = summary.assign(ate_position_rmse_m_se=0.6 * summary["ate_position_rmse_m_mean"])
+    for axes in plot_options(wide, looks([*NAMES, "ekf"]))["option"].axes:
+        low, high = axes.get_ylim()
+        for container in axes.containers:
+            for ends in container.lines[2][0].get_segments():
+                assert low < ends[:, 1].min() < ends[:, 1].max() < high

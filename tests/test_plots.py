@@ -7,6 +7,19 @@ import numpy as np
 import pandas as pd
 import pytest
 from IPython.core.formatters import PNGFormatter
+from lap import (
+    LANDMARKS,
+    SERIES,
+    STEPS,
+    floats,
+    legend,
+    line,
+    of,
+    points,
+    ring,
+    with_color,
+    without_truth,
+)
 from matplotlib import pyplot
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
@@ -19,74 +32,13 @@ from ekfslam.errors import InputError, UnknownNameError
 from ekfslam.evaluation import tables
 from ekfslam.plots.style import TRUTH
 
-STEPS = 60
-RUN = {"dataset": "ring", "seed": 3, "robot": "robot"}
-SERIES = [
-    ("ekf", "online"),
-    ("gtsam-isam2", "online"),
-    ("gtsam-isam2", "smoothed"),
-    ("dead-reckoning", "online"),
-    ("mine", "online"),
-]
-LANDMARKS = np.array([[0.0, 14.0], [14.0, 0.0], [-14.0, 0.0], [0.0, -14.0]])
 NAMES = ("map", "errors", "consistency", "times")
-
-
-def covariances(rng, count, size):
-    root = rng.normal(scale=0.1, size=(count, size, size))
-    return root @ np.swapaxes(root, 1, 2)
-
-
-def columns(names, values):
-    return dict(zip(names.split(), np.asarray(values).T, strict=True))
-
-
-def trajectory(rng, estimator, series):
-    """A lap on a circle of 10 m; dead reckoning drifts 100 m away."""
-    angle = np.linspace(0, 6, STEPS)
-    truth = np.column_stack([10 * np.cos(angle), 10 * np.sin(angle), angle - 3])
-    error = rng.normal(scale=0.1, size=(STEPS, 3))
-    if estimator == "dead-reckoning":
-        error += np.linspace(0, 100, STEPS)[:, None] * [1, 0, 0.01]
-    i, j = np.triu_indices(3)
-    covariance = covariances(rng, STEPS, 3)[:, i, j]
-    rows = RUN | {"estimator": estimator, "series": series, "step": np.arange(STEPS)}
-    rows |= {"time_s": 0.5 * np.arange(STEPS), "nees": rng.chisquare(3, STEPS)}
-    rows |= columns("x_m y_m theta_rad", truth + error)
-    rows |= columns("true_x_m true_y_m true_theta_rad", truth)
-    rows |= columns("error_x_m error_y_m error_theta_rad", error)
-    rows |= columns("cov_xx cov_xy cov_xt cov_yy cov_yt cov_tt", covariance)
-    if estimator in ("ekf", "mine"):
-        dof = rng.integers(0, 4, STEPS) * 2
-        nis = np.where(dof > 0, rng.chisquare(np.maximum(dof, 1)), np.nan)
-        rows |= {"nis": nis, "nis_dof": dof}
-    if estimator != "dead-reckoning":
-        rows |= {"time_step_s": rng.uniform(1e-6, 1e-3, STEPS)}
-    return pd.DataFrame(rows)
-
-
-def landmark_rows(rng, estimator, series):
-    positions = LANDMARKS + rng.normal(scale=0.1, size=(4, 2))
-    covariance = covariances(rng, 4, 2)[:, [0, 0, 1], [0, 1, 1]]
-    rows = RUN | {"estimator": estimator, "series": series, "landmark": np.arange(4)}
-    rows |= columns("x_m y_m", positions) | columns("true_x_m true_y_m", LANDMARKS)
-    return pd.DataFrame(rows | columns("cov_xx cov_xy cov_yy", covariance))
-
-
-def typed(name, frames):
-    schema = tables.SCHEMAS[name]
-    return pd.concat(frames).reindex(columns=list(schema)).astype(dict(schema))
 
 
 @pytest.fixture(scope="module")
 def run():
     """Tables `trajectories` and `landmarks` of one run, as the package types them."""
-    rng = np.random.default_rng(20240607)
-    mappers = [pair for pair in SERIES if pair[0] != "dead-reckoning"]
-    return (
-        typed("trajectories", [trajectory(rng, *pair) for pair in SERIES]),
-        typed("landmarks", [landmark_rows(rng, *pair) for pair in mappers]),
-    )
+    return ring()
 
 
 @pytest.fixture(scope="module")
@@ -95,37 +47,9 @@ def figures(run):
     return {name: draw(name, run) for name in NAMES}
 
 
-def without_truth(run):
-    columns = ["true_", "error_", "nees"]
-    return tuple(
-        table.assign(**{c: np.nan for c in table if c.startswith(tuple(columns))}) for table in run
-    )
-
-
 def draw(name, run):
     plot = getattr(plots, f"plot_{name}")
     return plot(*run) if name == "map" else plot(run[0])
-
-
-def of(table, estimator, series="online"):
-    return table[(table["estimator"] == estimator) & (table["series"] == series)]
-
-
-def floats(rows, *names):
-    return np.column_stack([rows[name].to_numpy(float, na_value=np.nan) for name in names])
-
-
-def line(axes, label):
-    (found,) = [artist for artist in axes.lines if str(artist.get_label()).startswith(label)]
-    return found
-
-
-def points(artist):
-    return np.column_stack(artist.get_data()).astype(float)
-
-
-def with_color(artists, estimator):
-    return [a for a in artists if to_hex(a.get_color()) == plots.look(estimator).color.lower()]
 
 
 def column(figure, estimator, series):
@@ -133,10 +57,6 @@ def column(figure, estimator, series):
     width = len(figure.axes) // 3
     titles = [axes.get_title() for axes in figure.axes[:width]]
     return figure.axes[titles.index(f"{estimator}\n{series}") :: width]
-
-
-def legend(figure):
-    return [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()]
 
 
 # The map ---------------------------------------------------------------------------------------
@@ -226,6 +146,32 @@ def test_map_leaves_out_what_has_no_ellipse(run, figures):
         counts = [len(c.get_segments()) for c in collections]
         assert counts[0] == len(whole[0].get_segments()) - 1
         assert counts[1:] == [len(c.get_segments()) for c in whole[1:]]
+
+
+def test_no_ellipse_at_the_edge_of_the_map_looks_as_if_it_ended_there(run):
+    trajectories, landmarks = run
+    (axes,) = plots.plot_map(*run).axes
+    extent = np.ptp(axes.get_xlim())
+    wide = landmarks.reset_index(drop=True)
+    wide["cov_xx"] = wide["cov_yy"] = (extent / 30) ** 2
+    wide["cov_xy"] = 0.0
+    (axes,) = plots.plot_map(trajectories, wide).axes
+    vertices = np.concatenate(axes.collections[0].get_segments())  # of the first estimator
+    low, high = np.transpose([axes.get_xlim(), axes.get_ylim()])
+    assert (low < vertices).all()
+    assert (vertices < high).all()
+    assert np.abs(vertices).max() > 0.55 * extent  # out of what there was room for without them
+    wide.loc[0, "cov_xx"] = 1e6  # nothing else would be seen
+    (axes,) = plots.plot_map(trajectories, wide).axes
+    assert np.ptp(axes.get_xlim()) < 1.5 * extent
+
+
+def test_the_legend_says_whose_landmarks_leave_the_map(run):
+    trajectories, landmarks = run
+    ekf = (landmarks["estimator"] == "ekf").to_numpy()
+    away = landmarks.assign(x_m=landmarks["x_m"] + np.where(ekf, 500.0, 0.0))
+    leaving = [label for label in legend(plots.plot_map(trajectories, away)) if "leaves" in label]
+    assert "ekf (online), leaves the frame" in leaving
 
 
 # Errors ----------------------------------------------------------------------------------------
@@ -334,6 +280,17 @@ def test_time_per_step_is_in_microseconds_on_a_logarithmic_axis(run):
 
 
 # Style -----------------------------------------------------------------------------------------
+
+
+def test_few_steps_and_times_close_together_have_axes_with_plain_numbers(run):
+    short = of(run[0], "ekf")[:3].assign(time_step_s=[3.1e-6, 6.2e-6, 12e-6])
+    figure = plots.plot_times(short)
+    (axes,) = figure.axes
+    FigureCanvasAgg(figure).draw()
+    words = [label.get_text() for label in axes.get_yticklabels(which="both") if label.get_text()]
+    assert {"4", "6", "10"} <= set(words)
+    assert all(float(word) > 0 for word in words)  # and no power of ten
+    assert all(place == int(place) for place in axes.get_xticks())
 
 
 def test_an_estimator_has_one_colour_in_every_figure(figures):
@@ -511,8 +468,14 @@ def test_a_figure_fits_the_width_that_is_asked_for(run, name):
 
 
 def test_the_title_says_of_whom_there_is_nothing_to_show(run):
-    figure = plots.plot_map(*run, absent=["mine (failed)"])
-    assert figure.get_suptitle().endswith("\nnothing to show of mine (failed)")
+    blind = without_truth(run)[0]
+    for figure in (
+        plots.plot_map(*run, absent=["mine (failed)"]),
+        plots.plot_errors(run[0], absent=["mine (failed)"]),
+        plots.plot_errors(blind, absent=["mine (failed)"]),
+    ):
+        assert figure.get_suptitle().endswith("\nnothing to show of mine (failed)")
+    assert "nothing" not in plots.plot_errors(run[0]).get_suptitle()
 
 
 # Several robots --------------------------------------------------------------------------------
@@ -556,6 +519,14 @@ def test_the_map_shows_the_path_of_each_robot_and_the_map_once(team):
         [points(a) for a in mine if len(a.get_xdata()) == len(LANDMARKS)],
         [floats(of(landmarks, "ekf"), "x_m", "y_m")],
     )
+
+
+def test_the_map_names_robots_where_they_start(run, team):
+    assert not plots.plot_map(*run).axes[0].texts
+    for both in (team, without_truth(team)):
+        first, second = plots.plot_map(*both).axes[0].texts
+        assert (first.get_text(), second.get_text()) == ("one", "two")
+        assert_allclose(np.subtract(second.xy, first.xy), [20, 0])
 
 
 @pytest.mark.parametrize("name", ["errors", "consistency"])

@@ -258,6 +258,10 @@ def test_findings_of_a_campaign_are_those_of_its_tables(campaign, campaign_page)
     assert len(seen)
     for verdict in seen["verdict"]:
         assert verdict in said
+    few = results.pairs[results.pairs["verdict"].str.startswith("too few pairs to tell")]
+    rest = len(results.pairs) > len(seen) + len(few)  # too few seeds are no verdict
+    assert rest == ("On the same seeds nobody is seen to be better between" in said)
+    assert "Fewer than 6 seeds with a number of both, too few to tell" in said
     assert "Without an estimate, since it raised an error: Broken at 4 seeds." in said
 
 

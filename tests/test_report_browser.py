@@ -102,6 +102,16 @@ def test_nobody_is_shut_out(shown, name, scheme):
 
 
 @pytest.mark.parametrize("name", ["comparison", "campaign"])
+def test_captions_are_read_without_moving_their_tables(shown, name):
+    page = shown(name, viewport=PHONE)
+    for place in page.query_selector_all(".scroll:has(.sorts)"):
+        for left in (0, 500):
+            place.evaluate(f"node => node.scrollLeft = {left}")
+            box = place.query_selector("caption span").bounding_box()
+            assert 0 <= box["x"] < box["x"] + box["width"] <= PHONE["width"]
+
+
+@pytest.mark.parametrize("name", ["comparison", "campaign"])
 @pytest.mark.parametrize("viewport", [PHONE, DESKTOP], ids=["phone", "desktop"])
 def test_the_page_is_no_wider_than_its_window(shown, name, viewport):
     page = shown(name, viewport=viewport)

@@ -36,6 +36,12 @@ class _File(NamedTuple):
     write: Callable[[], None]
 
 
+def without_estimate(summary: pd.DataFrame) -> list[str]:
+    """Estimators of which the rows of a dataset hold no estimate, and why."""
+    once = summary.drop_duplicates("estimator").set_index("estimator")["status"]
+    return [f"{who} ({why})" for who, why in once.items() if why in (FAILED, SKIPPED)]
+
+
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """Estimators side by side on the same datasets.
@@ -64,6 +70,8 @@ class Comparison:
     def plot_map(self, dataset: str | None = None, **options: Any) -> Figure:
         """Map with trajectories, landmarks and 3-sigma ellipses.
 
+        Where nobody maps landmarks, those of the known map are shown.
+
         Parameters
         ----------
         dataset : str, optional
@@ -74,12 +82,11 @@ class Comparison:
         from ekfslam.plots import plot_map
 
         name = self._name(dataset)
-        status = self._of(self.summary, name).set_index("estimator")["status"]
-        absent = [f"{who} ({why})" for who, why in status.items() if why in (FAILED, SKIPPED)]
-        options = {"absent": absent} | options
-        return plot_map(
-            self._of(self.trajectories, name), self._of(self.landmarks, name), **options
-        )
+        options = {"absent": self._absent(name)} | options
+        landmarks, known = self._of(self.landmarks, name), self.datasets[name].known_map
+        if known is not None and landmarks.empty:
+            options = {"known": known.positions} | options
+        return plot_map(self._of(self.trajectories, name), landmarks, **options)
 
     def plot_errors(
         self, dataset: str | None = None, robot: str | None = None, **options: Any
@@ -97,7 +104,9 @@ class Comparison:
         """
         from ekfslam.plots import plot_errors
 
-        return plot_errors(self._of(self.trajectories, self._name(dataset)), robot, **options)
+        name = self._name(dataset)
+        options = {"absent": self._absent(name)} | options
+        return plot_errors(self._of(self.trajectories, name), robot, **options)
 
     def plot_consistency(
         self, dataset: str | None = None, robot: str | None = None, **options: Any
@@ -192,6 +201,9 @@ class Comparison:
         if dataset not in self.datasets:
             raise UnknownNameError("dataset of this comparison", dataset, self.datasets)
         return dataset
+
+    def _absent(self, dataset: str) -> list[str]:
+        return without_estimate(self._of(self.summary, dataset))
 
     @staticmethod
     def _of(table: pd.DataFrame, dataset: str) -> pd.DataFrame:

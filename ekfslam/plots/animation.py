@@ -13,6 +13,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
@@ -24,7 +25,7 @@ from ekfslam.errors import InputError
 from ekfslam.estimates import Estimate, Trajectory
 from ekfslam.geometry import Array
 from ekfslam.moments import sight_lines
-from ekfslam.plots.maps import SIGMAS, frame
+from ekfslam.plots.maps import SIGMAS, frame, leaves, widened
 from ekfslam.plots.style import QUIET, TRUTH, Key, Look, add_key, drawing, looks, style, titled
 from ekfslam.storage import atomic_write
 
@@ -34,6 +35,7 @@ INCHES = 6.0
 _COLORS = 128  # of a GIF, which has one palette for all pictures
 _WIDTHS = (100, 4000)  # pixels
 _ELLIPSES = 300  # of each estimator in a picture, the newest
+_BESIDE = 0.5  # the axes, for their labels [in]
 
 
 class Film(NamedTuple):
@@ -134,7 +136,7 @@ def _nobody(done: int, total: int) -> None:
 
 def _write_gif(stage: _Stage, path: Path, fps: int, watch: Callable[[int, int], None]) -> None:
     count = len(stage.film.steps)
-    palette = _few(stage.picture(count - 1))  # the last picture has all colours
+    palette = _palette(stage.picture(count - 1), stage.colors)  # the last one has all colours
 
     def pictures() -> Iterator[Image.Image]:
         for index in range(count):
@@ -155,10 +157,20 @@ def _write_gif(stage: _Stage, path: Path, fps: int, watch: Callable[[int, int], 
 _WHITENED = [value if value < 248 else 255 for value in range(256)] * 3
 
 
-def _few(picture: Image.Image, palette: Image.Image | None = None) -> Image.Image:
+def _palette(picture: Image.Image, colors: Sequence[str]) -> Image.Image:
+    """The colours of a picture, and some as they are: a thin line has too few points to count."""
+    found = picture.point(_WHITENED).quantize(_COLORS - len(colors), dither=Image.Dither.NONE)
+    own = [round(255 * value) for color in colors for value in to_rgb(color)]
+    known = (found.getpalette() or [])[: 3 * (_COLORS - len(colors))]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(own + known)
+    return palette
+
+
+def _few(picture: Image.Image, palette: Image.Image) -> Image.Image:
     """A picture in few colours, of which white is one: almost white would take its place."""
     white = picture.point(_WHITENED)
-    return white.quantize(_COLORS, palette=palette, dither=Image.Dither.NONE)
+    return white.quantize(palette=palette, dither=Image.Dither.NONE)
 
 
 def _write_mp4(stage: _Stage, path: Path, fps: int, watch: Callable[[int, int], None]) -> None:
@@ -189,10 +201,11 @@ class _Stage:
 
     def _set(self, width: int) -> tuple[Figure, Axes]:
         """An empty figure of an even number of pixels, with all that stays as it is."""
-        names = [*self.film.estimates, "truth", "true landmark"]
+        labels = {name: self._label(name) for name in self.film.estimates}
+        names = [*labels.values(), "truth", "true landmark"]
         aspect = float(np.divide(*(self._high - self._low)[::-1]))
-        height = INCHES * float(np.clip(aspect, 0.3, 1.2))
-        height += 0.5 + Key.of(names, INCHES, most=4).height
+        height = (INCHES - _BESIDE) * float(np.clip(aspect, 0.3, 1.2))
+        height += 0.65 + Key.of(names, INCHES, most=4).height
         pixels = 2 * round(width * height / INCHES / 2)
         dpi = 2 * round(width / 2) / INCHES
         with drawing(INCHES, pixels / dpi) as figure:
@@ -202,8 +215,7 @@ class _Stage:
             axes.set(xlim=(self._low[0], self._high[0]), ylim=(self._low[1], self._high[1]))
             figure.suptitle(titled(INCHES, self._words(len(self.film.steps) - 1)))
             handles: dict[str, Any] = {
-                f"{name}{_series(estimates[-1])}": Line2D([], [], **_line(self._looks[name]))
-                for name, estimates in self.film.estimates.items()
+                label: Line2D([], [], **_line(self._looks[name])) for name, label in labels.items()
             }
             known = self.film.dataset.true_map
             if known is not None and len(known):
@@ -213,6 +225,23 @@ class _Stage:
                 handles["truth"] = Line2D([], [], color=TRUTH, linewidth=0.8)
             add_key(figure, handles, most=4)
         return figure, axes
+
+    @property
+    def colors(self) -> list[str]:
+        """Of the estimators."""
+        return list(dict.fromkeys(own.color for own in self._looks.values()))[: _COLORS // 2]
+
+    def _label(self, name: str) -> str:
+        """What the legend calls an estimator."""
+        last = self.film.estimates[name][-1]
+        trajectory, mapped = last.final_trajectory, last.landmarks
+        if trajectory is None:
+            return f"{name} ({last.status})"
+        series = "smoothed" if last.smoothed is not None else "online"
+        places = [trajectory.poses.reshape(-1, 3)[:, :2]]
+        places += [] if mapped is None else [mapped.positions]
+        beyond = leaves(np.concatenate(places), (self._low, self._high))
+        return f"{name} ({series})" + ", leaves the frame" * beyond
 
     def picture(self, index: int) -> Image.Image:
         """One of the film's pictures."""
@@ -233,7 +262,7 @@ class _Stage:
             if robot.truth is not None:
                 self._add_line(robot.truth[: step + 1], color=TRUTH, linewidth=0.8, zorder=5)
         for place, (name, estimates) in enumerate(self.film.estimates.items()):
-            self._show_estimate(estimates[index], self._looks[name], 4.0 - 0.01 * place)
+            self._show_estimate(estimates[index], self._looks[name], 4.0 + 0.01 * place)
         self._show_sights(index)
 
     def _words(self, index: int) -> str:
@@ -250,7 +279,7 @@ class _Stage:
         self._artists.append(self._axes.add_collection(drawn, autolim=False))
 
     def _show_estimate(self, estimate: Estimate, own: Look, zorder: float) -> None:
-        """The first one lies on top."""
+        """As on a map, the last one lies on top: who has dashes does not hide a whole line."""
         trajectory = estimate.final_trajectory
         if trajectory is None:
             return
@@ -288,10 +317,8 @@ class _Stage:
     def _add_ellipses(
         self, means: Array, covariances: Array, own: Look, linewidth: float, zorder: float
     ) -> None:
-        good = np.isfinite(means).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
-        contours = list(geo.ellipse(means[good], covariances[good], SIGMAS))
         self._add_lines(
-            contours,
+            _contours(means, covariances),
             colors=own.color,
             linestyles=own.linestyle,
             linewidths=linewidth,
@@ -317,6 +344,11 @@ class _Stage:
                 return
 
 
+def _contours(means: Array, covariances: Array) -> list[Array]:
+    good = np.isfinite(means).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
+    return list(geo.ellipse(means[good], covariances[good], SIGMAS))
+
+
 def _robots(trajectory: Trajectory) -> list[tuple[Array, Array | None]]:
     """Poses and covariances of each robot."""
     count = 1 if trajectory.poses.ndim == 2 else len(trajectory.poses)
@@ -328,23 +360,19 @@ def _line(own: Look) -> dict[str, Any]:
     return {"color": own.color, "linestyle": own.linestyle, "linewidth": 1.2}
 
 
-def _series(estimate: Estimate) -> str:
-    """What a legend adds to a name."""
-    if estimate.final_trajectory is None:
-        return f" ({estimate.status})"
-    return " (smoothed)" if estimate.smoothed is not None else " (online)"
-
-
 def _view(film: Film) -> tuple[Array, Array]:
     """Corners of what the film shows throughout: that of its last picture."""
     dataset, step = film.dataset, film.steps[-1]
     truths = [r.truth[: step + 1, :2] for r in dataset.robots if r.truth is not None]
     known = [] if dataset.true_map is None else [dataset.true_map.positions]
     truth = np.concatenate([*truths, *known, np.zeros((0, 2))])
-    shown = []
+    shown, contours = [], list[Array]()
     for estimates in film.estimates.values():
         trajectory, mapped = estimates[-1].final_trajectory, estimates[-1].landmarks
         if trajectory is not None:
             places = trajectory.poses.reshape(-1, 3)[:, :2]
             shown.append((places, np.zeros((0, 2)) if mapped is None else mapped.positions))
-    return frame(truth[np.isfinite(truth).all(axis=1)], shown)
+        if mapped is not None and mapped.covariances is not None:
+            newest = slice(-_ELLIPSES, None)
+            contours += _contours(mapped.positions[newest], mapped.covariances[newest])
+    return widened(frame(truth[np.isfinite(truth).all(axis=1)], shown), contours)

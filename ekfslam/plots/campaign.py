@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from ekfslam.estimates import FAILED, SKIPPED
 from ekfslam.plots.options import plot_options
 from ekfslam.plots.pairs import plot_pairs
 from ekfslam.plots.rows import numbers, typical
@@ -26,7 +27,7 @@ from ekfslam.plots.sheets import (
     scale,
     sheet,
 )
-from ekfslam.plots.style import Look, looks
+from ekfslam.plots.style import Look, looks, without
 from ekfslam.plots.sweeps import plot_sweeps
 
 POINTS = 250
@@ -59,16 +60,30 @@ def plot_campaign(
         what does not fit on a page goes on in ``...-2`` and so on.
     """
     title = str(config["campaign"])
-    found = looks(config["estimators"])
+    found, lacking = looks(config["estimators"]), without(_absent(runs))
     kept = _without_first_steps(over_time, summary)
     return (
-        plot_nees_over_time(kept, title, found)
-        | plot_run_means(runs, summary, title, found)
-        | plot_errors_over_time(kept, title, found)
-        | plot_pairs(pairs, title, found)
-        | plot_sweeps(summary, config, found)
-        | plot_options(summary, found)
+        plot_nees_over_time(kept, title, found, lacking)
+        | plot_run_means(runs, summary, title, found, lacking)
+        | plot_errors_over_time(kept, title, found, lacking)
+        | plot_pairs(pairs, title, found, lacking)
+        | plot_sweeps(summary, config, found, lacking)
+        | plot_options(summary, found, lacking)
     )
+
+
+def _absent(runs: pd.DataFrame) -> list[str]:
+    """Estimators that have no estimate at any seed of a scenario, why, and where if not in all."""
+    listed = []
+    scenarios = runs["scenario"].nunique()
+    for name, rows in runs.groupby("estimator", sort=False):
+        nothing = rows["status"].isin([FAILED, SKIPPED]).groupby(rows["scenario"], sort=False).all()
+        places = [str(place) for place in nothing.index[nothing]]
+        if places:
+            why = rows.loc[rows["scenario"].astype(str) == places[0], "status"].iloc[0]
+            where = f" on {places[0]}" if len(places) == 1 else f" on {len(places)} scenarios"
+            listed.append(f"{name} ({why}{where * (len(places) < scenarios)})")
+    return listed
 
 
 def _without_first_steps(over_time: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
@@ -82,7 +97,7 @@ def _without_first_steps(over_time: pd.DataFrame, summary: pd.DataFrame) -> pd.D
 
 
 def plot_nees_over_time(
-    over_time: pd.DataFrame, title: str, found: Mapping[str, Look]
+    over_time: pd.DataFrame, title: str, found: Mapping[str, Look], lacking: str = ""
 ) -> dict[str, Figure]:
     """Mean NEES of the pose over the runs at each step, in both coordinates.
 
@@ -98,6 +113,8 @@ def plot_nees_over_time(
         Of the campaign.
     found : dict of Look
         Looks of the estimators by name.
+    lacking : str
+        What the title says of estimators that are not in the figure.
 
     Returns
     -------
@@ -108,7 +125,7 @@ def plot_nees_over_time(
     height = _height(rows)
 
     def draw(page: list[Row]) -> Figure:
-        top = f"{title}: NEES of the pose at each step, mean over the runs"
+        top = f"{title}: NEES of the pose at each step, mean over the runs\n{lacking}"
         with sheet(top, [height] * len(page), 2, sharey="row") as axes:
             for row, panels in zip(page, axes, strict=True):
                 band = max((row.of(name) for name in row.estimators), key=_total_runs)
@@ -131,7 +148,7 @@ def plot_nees_over_time(
 
 
 def plot_errors_over_time(
-    over_time: pd.DataFrame, title: str, found: Mapping[str, Look]
+    over_time: pd.DataFrame, title: str, found: Mapping[str, Look], lacking: str = ""
 ) -> dict[str, Figure]:
     """Root mean square errors over the runs at each step, and what the estimators claim.
 
@@ -146,6 +163,8 @@ def plot_errors_over_time(
         Of the campaign.
     found : dict of Look
         Looks of the estimators by name.
+    lacking : str
+        What the title says of estimators that are not in the figure.
 
     Returns
     -------
@@ -159,6 +178,7 @@ def plot_errors_over_time(
 
     def draw(page: list[Row]) -> Figure:
         top = f"{title}: position and heading at each step, root mean squares over the runs"
+        top += f"\n{lacking}"
         with sheet(top, [height] * len(page), 4) as axes:
             for row, panels in zip(page, axes, strict=True):
                 for panel, column, label in zip(panels, columns, labels, strict=True):

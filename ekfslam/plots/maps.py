@@ -23,12 +23,16 @@ from ekfslam.plots.rows import (
     series_of,
     typical,
 )
-from ekfslam.plots.style import PAGE, TRUTH, Key, add_key, drawing, titled
+from ekfslam.plots.style import PAGE, TRUTH, Key, add_key, drawing, titled, without
 from ekfslam.plots.thinning import MOST_ELLIPSES, largest, many
 
 SIGMAS = 3.0
 _TRUE = ("truth", "true landmark", "start", "end")
 _ROOM = 1.25  # an estimate is in full view if it makes the map larger by no more than this
+_REACH = 0.15  # ellipses are in full view if they reach out of it by no more than this share of it
+
+
+_PLACES = (("true_x_m", "true_y_m"), ("x_m", "y_m"))
 
 
 class _Content(NamedTuple):
@@ -38,8 +42,7 @@ class _Content(NamedTuple):
     paths: list[Array]  # one per robot
     landmarks: Array
     crowded: bool  # more landmarks than ellipses are shown
-    means: Array  # of the ellipses: the landmarks and the last poses, where there is a covariance
-    covariances: Array
+    contours: Array  # ellipses of the landmarks and the last poses, where there is a covariance
 
 
 def plot_map(
@@ -55,8 +58,9 @@ def plot_map(
     paths of all robots. The ellipses (98.9 % of a 2-D Gaussian) are those of the landmarks and of
     the last pose of each robot; of more than a thousand landmarks the largest thousand, which the
     title says, and smaller marks. A path breaks where it is not known, and a position that is known
-    by itself is a dot. The frame holds the truth, or without one what most estimators agree on, and
-    every path that is not much larger; the legend says which paths leave it.
+    by itself is a dot. The frame holds the truth, or without one what most estimators agree on,
+    every path and map that is not much larger, and ellipses at its edge; the legend says of whom a
+    path or landmarks leave it. Of several robots each has its name where it starts.
 
     Parameters
     ----------
@@ -84,8 +88,9 @@ def plot_map(
     true_paths = _true_paths(trajectories)
     true_map = _true_map(landmarks) if known is None else np.asarray(known, float).reshape(-1, 2)
     truth = _finite(np.concatenate([*true_paths, true_map]))
-    low, high = frame(truth, [(np.concatenate(c.paths), c.landmarks) for c in contents])
-    heading = titled(width, _heading(title, contents), _absent(absent))
+    corners = frame(truth, [(np.concatenate(c.paths), c.landmarks) for c in contents])
+    low, high = widened(corners, [each for content in contents for each in content.contours])
+    heading = titled(width, _heading(title, contents), without(absent))
     extent = high - low
     key = Key.of([*(c.series.label for c in contents), *_TRUE], width, most=3)
     height = _height(extent, width) + key.height + 0.5 + 0.15 * heading.count("\n")
@@ -97,6 +102,7 @@ def plot_map(
         _draw_truth(axes, true_paths, true_map)
         ends = [(path, c.series.look.color) for c in contents for path in c.paths]
         _draw_ends(axes, ends + [(path, TRUTH) for path in true_paths])
+        _name_robots(axes, trajectories)
         figure.suptitle(heading)
         handles, labels = axes.get_legend_handles_labels()
         add_key(figure, dict(zip(labels, handles, strict=True)), most=3)
@@ -109,11 +115,6 @@ def _heading(title: str, contents: list[_Content]) -> str:
     crowded = any(content.crowded for content in contents)
     which = f" (the {MOST_ELLIPSES} largest of an estimator)" if crowded else ""
     return f"{title}: map with 3σ ellipses{which}"
-
-
-def _absent(names: Iterable[str]) -> str:
-    listed = ", ".join(names)
-    return f"nothing to show of {listed}" if listed else ""
 
 
 # What there is to show --------------------------------------------------------------------------
@@ -153,8 +154,7 @@ def _content(series: Series, landmarks: pd.DataFrame) -> _Content:
         _paths(series, "x_m", "y_m"),
         _finite(points[:, :2]),
         len(points) > len(shown),
-        gaussians[valid, :2],
-        covariances[valid],
+        geo.ellipse(gaussians[valid, :2], covariances[valid], SIGMAS),
     )
 
 
@@ -195,6 +195,31 @@ def frame(truth: Array, estimates: Sequence[tuple[Array, Array]]) -> tuple[Array
     return low - margin, high + margin
 
 
+def widened(corners: tuple[Array, Array], contours: Sequence[Array]) -> tuple[Array, Array]:
+    """A view with room for the ellipses that are in it but for a part: none looks as if it ended.
+
+    Parameters
+    ----------
+    corners : (ndarray, ndarray)
+        Of the view.
+    contours : sequence of (points, 2) ndarray
+        Ellipses. Those that reach far out of the view do not count.
+    """
+    low, high = corners
+    room, margin = _REACH * (high - low).max(), 0.01 * (high - low).max()
+    near = [each for each in contours if not leaves(each, (low - room, high + room))]
+    points = np.concatenate([np.zeros((0, 2)), *near])
+    return (
+        np.minimum(low, points.min(axis=0, initial=np.inf) - margin),
+        np.maximum(high, points.max(axis=0, initial=-np.inf) + margin),
+    )
+
+
+def leaves(places: Array, corners: tuple[Array, Array]) -> bool:
+    """Whether a view lacks any of the places (n, 2) of an estimate."""
+    return bool(((places < corners[0]) | (places > corners[1])).any())
+
+
 def _diagonal(points: Array) -> float:
     return float(np.hypot(*np.ptp(points, axis=0)))
 
@@ -215,9 +240,8 @@ def _size(count: int, alone: float) -> float:
 
 def _draw(axes: Axes, content: _Content, frame: tuple[Array, Array]) -> None:
     color, marker, linestyle = content.series.look
-    everywhere = np.concatenate(content.paths)
-    leaves = ((everywhere < frame[0]) | (everywhere > frame[1])).any()
-    label = content.series.label + (", leaves the frame" if leaves else "")
+    beyond = leaves(np.concatenate([*content.paths, content.landmarks]), frame)
+    label = content.series.label + (", leaves the frame" if beyond else "")
     _draw_paths(axes, content.paths, label, color=color, linestyle=linestyle, zorder=3)
     axes.plot(
         *content.landmarks.T,
@@ -229,13 +253,14 @@ def _draw(axes: Axes, content: _Content, frame: tuple[Array, Array]) -> None:
         markeredgewidth=_size(len(content.landmarks), 0.7),
         zorder=4,
     )
-    contours = geo.ellipse(content.means, content.covariances, SIGMAS)
-    axes.add_collection(
-        LineCollection(
-            list(contours), colors=color, linewidths=0.7, linestyles=linestyle, zorder=4
-        ),
-        autolim=False,
+    ellipses = LineCollection(
+        list(content.contours),
+        colors=color,
+        linewidths=_size(len(content.landmarks), 0.7),  # dots and dashes are as short
+        linestyles=linestyle,
+        zorder=4,
     )
+    axes.add_collection(ellipses, autolim=False)
 
 
 def _draw_paths(axes: Axes, paths: list[Array], label: str, **appearance: Any) -> None:
@@ -275,3 +300,16 @@ def _draw_ends(axes: Axes, paths: list[tuple[Array, str]]) -> None:
     for path, color in paths:
         axes.plot(*path[-1], "s", color=color, markersize=4, **edge)
     axes.plot([], [], "s", color=TRUTH, markersize=4, label="end", **edge)
+
+
+def _name_robots(axes: Axes, trajectories: pd.DataFrame) -> None:
+    """Where several robots start, by the truth or else by the first who says."""
+    if trajectories["robot"].nunique() < 2:
+        return
+    for name, rows in trajectories.groupby("robot", sort=False):
+        places = _finite(np.concatenate([numbers(rows, *c) for c in _PLACES]))
+        if len(places):
+            box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
+            look: dict[str, Any] = {"fontsize": 7, "bbox": box, "zorder": 6, "clip_on": True}
+            beside: dict[str, Any] = {"xytext": (5, 4), "textcoords": "offset points"}
+            axes.annotate(str(name), places[0], **beside, **look)

@@ -16,6 +16,8 @@ from ekfslam.plots.sheets import (
     LARGEST,
     Row,
     add_legend,
+    counted,
+    ends,
     label_decades,
     numbered,
     rows_of,
@@ -52,7 +54,9 @@ class _Line(NamedTuple):
     names: dict[str, float]  # values, by the estimator's name
 
 
-def plot_options(summary: pd.DataFrame, found: Mapping[str, Look]) -> dict[str, Figure]:
+def plot_options(
+    summary: pd.DataFrame, found: Mapping[str, Look], lacking: str = ""
+) -> dict[str, Figure]:
     """What estimators reach against a number among their options, beside those without it.
 
     A figure per scenario, series and robot, of the online series where there are two. Bars are one
@@ -65,6 +69,8 @@ def plot_options(summary: pd.DataFrame, found: Mapping[str, Look]) -> dict[str, 
         Of `ekfslam.evaluation.summarise`.
     found : dict of Look
         Looks of the estimators by name.
+    lacking : str
+        What the title says of estimators that are not in the figure.
 
     Returns
     -------
@@ -78,7 +84,7 @@ def plot_options(summary: pd.DataFrame, found: Mapping[str, Look]) -> dict[str, 
     for row in rows_of(summary, *(measure.column for measure in _MEASURES)):
         drawn = {title: line for title, line in lines.items() if _among(line, row)}
         if drawn:
-            figures.append(_draw(row, drawn, found))
+            figures.append(_draw(row, drawn, found, lacking))
     return numbered("option", figures)
 
 
@@ -107,15 +113,16 @@ def _among(line: _Line, row: Row) -> bool:
     return len(set(line.names).intersection(row.estimators)) >= FEWEST
 
 
-def _draw(row: Row, lines: Mapping[str, _Line], found: Mapping[str, Look]) -> Figure:
+def _draw(row: Row, lines: Mapping[str, _Line], found: Mapping[str, Look], lacking: str) -> Figure:
     shown = [m for m in _MEASURES if np.isfinite(numbers(row.table, m.column)).any()]
     values = np.concatenate([list(line.names.values()) for line in lines.values()])
     in_lines = {name for line in lines.values() for name in line.names}
     levels = [name for name in row.estimators if name not in in_lines]
     own = {title: LOOKS.get(title) or found[next(iter(n.names))] for title, n in lines.items()}
     counts = numbers(row.table, "runs")
-    runs = f"{int(counts.min())} to " * bool(np.ptp(counts)) + f"{int(counts.max())} runs each"
-    with sheet(f"{row.title}: {runs}; bars are one standard error", [2.3], len(shown)) as axes:
+    runs = counted(int(counts.min()), int(counts.max()), "run") + " each"
+    top = f"{row.title}: {runs}; bars are one standard error\n{lacking}"
+    with sheet(top, [2.3], len(shown)) as axes:
         for measure, panel in zip(shown, axes[0], strict=True):
             for title, line in lines.items():
                 _draw_line(panel, measure, row, line, own[title])
@@ -127,7 +134,7 @@ def _draw(row: Row, lines: Mapping[str, _Line], found: Mapping[str, Look]) -> Fi
             label_decades(panel.xaxis, values.max() / values.min())
             known = numbers(row.table, measure.column)
             inside = (2.5, 3.5) if measure.expected else (np.nanmin(known), np.nanmax(known))
-            scale(panel, known, inside, most=LARGEST)
+            scale(panel, ends(known, numbers(row.table, measure.bar)), inside, most=LARGEST)
         figure = axes[0, 0].figure
         add_legend(figure, [*lines, *levels], own | {name: found[name] for name in levels})
     return figure

@@ -14,13 +14,24 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullLocator, SymmetricalLogLocator
 
 from ekfslam.plots.rows import numbers, typical
-from ekfslam.plots.sheets import Row, add_legend, name_lines, numbered, paged, sheet, text_height
+from ekfslam.plots.sheets import (
+    Row,
+    add_legend,
+    counted,
+    name_lines,
+    numbered,
+    paged,
+    sheet,
+    text_height,
+)
 from ekfslam.plots.style import QUIET, TRUTH, Look
 
 _ABREAST = 2  # metrics that have room beside each other
 
 
-def plot_pairs(pairs: pd.DataFrame, title: str, found: Mapping[str, Look]) -> dict[str, Figure]:
+def plot_pairs(
+    pairs: pd.DataFrame, title: str, found: Mapping[str, Look], lacking: str = ""
+) -> dict[str, Figure]:
     """Mean differences of estimators on the same seeds, with their intervals.
 
     A difference is filled where it is seen: where the p adjusted for all comparisons says so, see
@@ -35,18 +46,21 @@ def plot_pairs(pairs: pd.DataFrame, title: str, found: Mapping[str, Look]) -> di
         Of the campaign.
     found : dict of Look
         Looks of the estimators by name.
+    lacking : str
+        What the title says of estimators that are not in the figure.
 
     Returns
     -------
     dict of Figure
     """
+    top = f"{title}: differences on the same seeds\n{lacking}"
     pairs = pairs[np.isfinite(numbers(pairs, "mean_difference"))]
     names = list(pairs["metric"].unique())
     figures = []
     for metrics in (names[i : i + _ABREAST] for i in range(0, len(names), _ABREAST)):
         some = pairs[pairs["metric"].isin(metrics)]
         for page in paged(_scenarios(some), lambda row: text_height(_compared(row.table))):
-            figures.append(_draw_pairs(page, metrics, some, title, found))
+            figures.append(_draw_pairs(page, metrics, some, top, found))
     return numbered("pairs", figures)
 
 
@@ -67,23 +81,23 @@ def _draw_pairs(
     page: list[Row],
     metrics: Sequence[str],
     pairs: pd.DataFrame,
-    title: str,
+    top: str,
     found: Mapping[str, Look],
 ) -> Figure:
     heights = [text_height(_compared(row.table)) for row in page]
-    top = f"{title}: differences on the same seeds"
     with sheet(top, heights, len(metrics), sharex="col") as axes:
         for row, panels in zip(page, axes, strict=True):
             compared = _compared(row.table)
             for panel, metric in zip(panels, metrics, strict=True):
                 _draw_forest(panel, row.table[row.table["metric"] == metric], compared, found)
             name_lines(panels, [f"{a} − {b}" for a, b in compared])
-            panels[0].set_title(f"{row.title}: {_seeds(row.table)} seeds", loc="left")
+            panels[0].set_title(f"{row.title}: {_seeds(row.table)}", loc="left")
         for panel, metric in zip(axes[-1], metrics, strict=True):
             _scale_differences(panel, pairs[pairs["metric"] == metric])
             panel.set_xlabel(f"mean difference of\n{_with_unit(metric)}")
         percent = f"{100 * numbers(pairs, 'probability')[0]:g}"
-        add_legend(axes[0, 0].figure, [], found, _forest_handles(percent))
+        known = np.isfinite(numbers(pd.concat(row.table for row in page), "half_width"))
+        add_legend(axes[0, 0].figure, [], found, _forest_handles(percent, known))
     return axes[0, 0].figure
 
 
@@ -120,21 +134,27 @@ def _scale_differences(panel: Axes, rows: pd.DataFrame) -> None:
     if large > 8 * small:
         linear = 10.0 ** np.floor(np.log10(small))
         panel.set_xscale("symlog", linthresh=linear)
-        low, high = float((means - widths).min()), float((means + widths).max())
-        panel.set_xlim(1.3 * min(low, 0.0) - small, 1.3 * max(high, 0.0) + small)
+        ends = np.array([min((means - widths).min(), 0.0), max((means + widths).max(), 0.0)])
+        shown = panel.xaxis.get_transform()
+        low, high = shown.transform(ends)
+        margin = 0.05 * (high - low)
+        panel.set_xlim(*shown.inverted().transform(np.array([low - margin, high + margin])))
         places = SymmetricalLogLocator(base=10.0, linthresh=linear)
         places.set_params(numticks=5)
         panel.xaxis.set_major_locator(places)
         panel.xaxis.set_minor_locator(NullLocator())
 
 
-def _forest_handles(percent: str) -> dict[str, Line2D]:
-    appearance: dict[str, Any] = {"color": QUIET, "marker": "o", "markersize": 3.5}
-    return {
+def _forest_handles(percent: str, known: np.ndarray) -> dict[str, Line2D]:
+    """Of intervals, some or all of which may not be known: too few seeds, which is no verdict."""
+    appearance: dict[str, Any] = {"color": QUIET, "marker": "o", "markersize": 3.5, "linestyle": ""}
+    interval = {
         f"{percent} % interval of each alone": Line2D([], [], color=QUIET),
-        "seen, p adjusted for all": Line2D([], [], linestyle="", **appearance),
-        "not seen": Line2D([], [], linestyle="", markerfacecolor="white", **appearance),
+        "seen, p adjusted for all": Line2D([], [], **appearance),
     }
+    unseen = ["not seen"] * bool(known.any()) + ["too few seeds to tell"] * (not known.all())
+    open_mark = {", or ".join(unseen): Line2D([], [], markerfacecolor="white", **appearance)}
+    return (interval if known.any() else {}) | open_mark
 
 
 def _with_unit(metric: str) -> str:
@@ -149,5 +169,4 @@ def _competitor(name: str) -> str:
 
 
 def _seeds(rows: pd.DataFrame) -> str:
-    few, many = int(rows["seeds"].min()), int(rows["seeds"].max())
-    return f"{many}" if few == many else f"{few} to {many}"
+    return counted(int(rows["seeds"].min()), int(rows["seeds"].max()), "seed")

@@ -19,10 +19,12 @@ from ekfslam.plots.sheets import (
     LARGEST,
     Row,
     add_legend,
+    counted,
     label_decades,
     name_lines,
     numbered,
     paged,
+    plain,
     rows_of,
     sheet,
     text_height,
@@ -34,7 +36,11 @@ _COORDINATES = ("(x, y, θ)", "invariant")
 
 
 def plot_run_means(
-    runs: pd.DataFrame, summary: pd.DataFrame, title: str, found: Mapping[str, Look]
+    runs: pd.DataFrame,
+    summary: pd.DataFrame,
+    title: str,
+    found: Mapping[str, Look],
+    lacking: str = "",
 ) -> dict[str, Figure]:
     """Mean NEES along each run: quartiles, tails, median and mean, and the share that diverged.
 
@@ -51,6 +57,8 @@ def plot_run_means(
         Of the campaign.
     found : dict of Look
         Looks of the estimators by name.
+    lacking : str
+        What the title says of estimators that are not in the figure.
 
     Returns
     -------
@@ -61,7 +69,7 @@ def plot_run_means(
     counts = summary.set_index(group)[["diverged", "runs"]]
 
     def draw(page: list[Row]) -> Figure:
-        top = f"{title}: mean NEES of the pose along each run"
+        top = f"{title}: mean NEES of the pose along each run\n{lacking}"
         with sheet(top, [text_height(row.estimators) for row in page], 2) as axes:
             for row, panels in zip(page, axes, strict=True):
                 names = row.estimators
@@ -76,10 +84,13 @@ def plot_run_means(
                     diverged, of = counts.loc[tuple(row.of(name)[group].iloc[0])]
                     _say_beside(panels[1], place, f"{diverged} of {of}")
                 _say_beside(panels[1], -0.6, "diverged", va="bottom")
-                panels[0].set_title(f"{row.title}: {row.table['seed'].nunique()} runs", loc="left")
+                runs_each = row.table["seed"].nunique()
+                words = f"{row.title}: {counted(runs_each, runs_each, 'run')}"
+                panels[0].set_title(words, loc="left")
             for panel, name in zip(axes[-1], _COORDINATES, strict=True):
                 panel.set_xlabel(f"mean NEES along a run, {name}")
-            add_legend(axes[0, 0].figure, [], found, _box_handles())
+            handles = _box_handles() | (_arrow_handle() if _any_arrow(axes) else {})
+            add_legend(axes[0, 0].figure, [], found, handles)
         return axes[0, 0].figure
 
     pages = paged(rows_of(runs, *columns), lambda row: text_height(row.estimators))
@@ -112,7 +123,7 @@ def _draw_box(panel: Axes, values: Array, place: int, color: str) -> None:
 
 
 def _share_decades(panels: Sequence[Axes], values: Array) -> None:
-    values = np.minimum(values[np.isfinite(values) & (values > 0)], LARGEST)
+    values = values[np.isfinite(values) & (values > 0) & (values <= LARGEST)]
     low = min(float(values.min(initial=1.0)), 1.0)
     high = max(float(values.max(initial=10.0)), 10.0)
     for panel in panels:
@@ -130,6 +141,15 @@ def _say_beside(panel: Axes, height: float, text: str, va: str = "center_baselin
         va=va,
         fontsize=7,
     )
+
+
+def _any_arrow(axes: np.ndarray) -> bool:
+    return any(line.get_marker() == ">" for panel in axes.flat for line in panel.lines)
+
+
+def _arrow_handle() -> dict[str, Any]:
+    arrow = Line2D([], [], color=QUIET, marker=">", markersize=4, linestyle="none")
+    return {f"median above {plain(LARGEST)}": arrow}
 
 
 def _box_handles() -> dict[str, Any]:

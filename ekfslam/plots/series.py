@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ekfslam.geometry import Array
 from ekfslam.plots.panels import FEW, draw_line, draw_lines, finish, nothing, say
@@ -20,7 +22,8 @@ from ekfslam.plots.rows import (
     series_of,
     typical,
 )
-from ekfslam.plots.style import PAGE, QUIET, Key, drawing, titled
+from ekfslam.plots.sheets import plain_numbers
+from ekfslam.plots.style import PAGE, QUIET, Key, drawing, titled, without
 from ekfslam.plots.thinning import many, seen
 
 SIGMAS = 3.0
@@ -30,7 +33,10 @@ _ROWS = ("x error [m]", "y error [m]", "heading error [deg]")
 
 
 def plot_errors(
-    trajectories: pd.DataFrame, robot: str | None = None, width: float = PAGE
+    trajectories: pd.DataFrame,
+    robot: str | None = None,
+    absent: Iterable[str] = (),
+    width: float = PAGE,
 ) -> Figure:
     """Errors of x, y and heading against time within the estimator's own 3-sigma band.
 
@@ -46,6 +52,8 @@ def plot_errors(
         Rows of one dataset and seed.
     robot : str, optional
         Whose poses, where there are several robots; the first one by default.
+    absent : iterable of str
+        Estimators of which there is nothing to show, which the title says.
     width : float
         Of the figure [in]: a page's by default, `ekfslam.plots.COLUMN` for one column of a paper.
 
@@ -65,7 +73,11 @@ def plot_errors(
     title += whose
     curves = [_error_curve(series) for series in series_of(trajectories)]
     curves = [curve for curve in curves if np.isfinite(curve.error).any()]
-    return _errors(curves, title, width) if curves else _deviations(trajectories, title, width)
+    if curves:
+        heading = titled(width, f"{title}: error and own ±3σ band", without(absent))
+        return _errors(curves, heading, width)
+    heading = f"{title}: no truth, so no error; what the estimators claim"
+    return _deviations(trajectories, title, titled(width, heading, without(absent)), width)
 
 
 def plot_times(trajectories: pd.DataFrame, width: float = PAGE) -> Figure:
@@ -113,6 +125,8 @@ def plot_times(trajectories: pd.DataFrame, width: float = PAGE) -> Figure:
                 rasterized=many(len(times)),
                 label=labels[name],
             )
+        axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
+        plain_numbers(axes.yaxis)
         finish(figure, titled(width, f"{title}: time of each step"), [axes])
     return figure
 
@@ -148,18 +162,19 @@ def _error_curve(series: Series) -> _Curve:
     return _Curve(series, numbers(rows, "time_s"), error, sigma)
 
 
-def _errors(curves: list[_Curve], title: str, width: float) -> Figure:
+def _errors(curves: list[_Curve], heading: str, width: float) -> Figure:
     reaches = np.stack([curve.reach for curve in curves])
     limits = np.array([_limit(reach) for reach in reaches.T])
     blocks = -(-len(curves) // max(1, int((width - 0.4) / _NARROWEST)))
     columns = -(-len(curves) // blocks)
-    with drawing(width, (4.0 if blocks == 1 else 3.6) * blocks + 0.5) as figure:
+    height = (4.0 if blocks == 1 else 3.6) * blocks + 0.5 + 0.15 * heading.count("\n")
+    with drawing(width, height) as figure:
         axes = figure.subplots(3 * blocks, columns, sharex=True, squeeze=False)
         panels = axes.reshape(blocks, 3, columns).transpose(0, 2, 1).reshape(-1, 3)
         for place, (column, curve, reach) in enumerate(zip(panels, curves, reaches, strict=False)):
-            heading = curve.series.heading
-            longest = max(map(len, heading.split("\n")))
-            column[0].set_title(heading, fontsize=min(8.0, 120.0 * width / columns / longest))
+            name = curve.series.heading
+            longest = max(map(len, name.split("\n")))
+            column[0].set_title(name, fontsize=min(8.0, 120.0 * width / columns / longest))
             for row, panel in enumerate(column):
                 _draw_error(panel, curve, row, limits[row])
                 panel.set_ylim(-limits[row], limits[row])
@@ -173,7 +188,7 @@ def _errors(curves: list[_Curve], title: str, width: float) -> Figure:
             column[-1].set_xlabel("time [s]")
         for panel in panels[len(curves) :].flat:
             panel.set_axis_off()
-        figure.suptitle(titled(width, f"{title}: error and own ±3σ band"))
+        figure.suptitle(heading)
     return figure
 
 
@@ -195,7 +210,7 @@ def _draw_error(panel: Axes, curve: _Curve, row: int, limit: float) -> None:
     draw_line(panel, time, error, color=color)
 
 
-def _deviations(trajectories: pd.DataFrame, title: str, width: float) -> Figure:
+def _deviations(trajectories: pd.DataFrame, title: str, heading: str, width: float) -> Figure:
     """Without a truth: what the estimators claim."""
     curves = [
         (series, _claimed(series))
@@ -206,7 +221,6 @@ def _deviations(trajectories: pd.DataFrame, title: str, width: float) -> Figure:
         return nothing(title, "no errors and no covariances to show")
     names = list(dict.fromkeys(series.name for series, _ in curves))
     labels = ("own σ of position [m]", "own σ of heading [deg]")
-    heading = titled(width, f"{title}: no truth, so no error; what the estimators claim")
     key = Key.of({series.estimator: None for series, _ in curves}, width, most=4)
     with drawing(width, 3.9 + key.height + 0.15 * heading.count("\n")) as figure:
         axes = figure.subplots(2, len(names), sharex=True, sharey="row", squeeze=False)
@@ -219,6 +233,7 @@ def _deviations(trajectories: pd.DataFrame, title: str, width: float) -> Figure:
         for panel, label in zip(axes[:, 0], labels, strict=True):
             panel.set_ylabel(label)
             panel.set_yscale("log")
+            plain_numbers(panel.yaxis)
         finish(figure, heading, axes.flat)
     return figure
 

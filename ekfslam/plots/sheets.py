@@ -13,11 +13,12 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, NullLocator
 
 from ekfslam.geometry import Array
+from ekfslam.plots.panels import say
 from ekfslam.plots.rows import numbers
-from ekfslam.plots.style import PAGE, QUIET, Look, add_key, drawing
+from ekfslam.plots.style import PAGE, QUIET, Look, add_key, drawing, titled
 
 BAND: dict[str, Any] = {"color": QUIET, "alpha": 0.35, "linewidth": 0.0}
 LARGEST = 1e6
@@ -25,6 +26,7 @@ LARGEST = 1e6
 
 _TALLEST = 8.5  # of the panels of a page together [in]
 _AROUND = 0.9  # its title and legend [in]
+_HEAD = 0.15  # room for words above what is drawn, as a share of it
 
 
 class Row(NamedTuple):
@@ -79,12 +81,19 @@ def numbered(stem: str, figures: Iterable[Figure]) -> dict[str, Figure]:
 def sheet(
     title: str, heights: Sequence[float], columns: int, **shared: Any
 ) -> Iterator[np.ndarray]:
-    """Panels (rows, columns) of a figure; they know which."""
-    with drawing(PAGE, sum(heights) + _AROUND) as figure:
-        figure.suptitle(title)
+    """Panels (rows, columns) of a figure; they know which. Long lines of the title are wrapped."""
+    heading = titled(PAGE, *title.split("\n"))
+    with drawing(PAGE, sum(heights) + _AROUND + 0.15 * heading.count("\n")) as figure:
+        figure.suptitle(heading)
         yield figure.subplots(
             len(heights), columns, squeeze=False, height_ratios=list(heights), **shared
         )
+
+
+def counted(few: int, many: int, what: str) -> str:
+    """How many there are of each, as "1 run" or "3 to 5 runs"."""
+    several = f"{many}" if few == many else f"{few} to {many}"
+    return f"{several} {what}{'s' * (many != 1)}"
 
 
 def text_height(names: Sequence[Any]) -> float:
@@ -116,6 +125,12 @@ def add_legend(
     add_key(figure, handles | dict(others or {}), most=5, handlelength=2.6)  # a whole dash-dot
 
 
+def ends(values: Array, bars: Array) -> Array:
+    """What an axis should show of values with bars: not where one goes down to almost nothing."""
+    low, high = values - np.nan_to_num(bars), values + np.nan_to_num(bars)
+    return np.concatenate([values, high, low[low > values / 3]])
+
+
 def scale(axes: Axes, values: Array, inside: tuple[float, float], most: float) -> None:
     """Range of an ordinate of positive numbers: logarithmic if they span more than a decade.
 
@@ -127,11 +142,15 @@ def scale(axes: Axes, values: Array, inside: tuple[float, float], most: float) -
     inside : (float, float)
         What is in view in any case.
     most : float
-        What the axis need not go beyond for the values.
+        What no value is shown beyond; where there are such, the axes say so.
     """
-    finite = values[np.isfinite(values) & (values > 0)]
-    low = min(float(finite.min(initial=inside[0])), inside[0])
-    high = max(min(float(finite.max(initial=inside[1])), most), inside[1])
+    positive = values[np.isfinite(values) & (values > 0)]
+    shown = positive[positive <= most]
+    low = min(float(shown.min(initial=inside[0])), inside[0])
+    high = max(float(shown.max(initial=inside[1])), inside[1])
+    if len(shown) < len(positive):
+        say(axes, f"values above {plain(most)} are cut off")
+        high *= (high / low) ** _HEAD if high > 10 * low else 1 + _HEAD
     if high > 10 * low:
         axes.set(yscale="log", ylim=(low / 1.3, high * 1.3))
         label_decades(axes.yaxis, high / low)
@@ -143,10 +162,17 @@ def label_decades(axis: Axis, span: float) -> None:
     """Plain numbers on a logarithmic axis, and enough of them where it has few decades."""
     axis.set_major_locator(LogLocator(subs=(1.0, 3.0) if span < 1e3 else (1.0,), numticks=7))
     axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(_plain))
+    axis.set_major_formatter(FuncFormatter(plain))
 
 
-def _plain(value: float, _: object) -> str:
+def plain_numbers(axis: Axis) -> None:
+    """As they are read, on a logarithmic axis: also between the powers of ten, where it has few."""
+    axis.set_major_formatter(FuncFormatter(plain))
+    axis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(1.0, 0.4)))
+
+
+def plain(value: float, _: object = None) -> str:
+    """A power of ten, or a number that is shorter than one."""
     if 1e-3 <= value < 1e4:
         return f"{value:g}"
     return f"$10^{{{round(np.log10(value))}}}$"

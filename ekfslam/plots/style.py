@@ -109,7 +109,7 @@ def _formed(colors: Iterable[str]) -> tuple[Look, ...]:
     return tuple(Look(color, *form) for form, color in product(_FORMS, colors))
 
 
-_OTHERS = _formed(["#E105FB", "#CCBB66", "#9D2B15", "#6C1923"])  # which none of ours has, either
+_OTHERS = _formed(["#E105FB", "#9CA45A", "#9D2B15", "#6C1923"])  # which none of ours has, either
 _SPARE = _formed(own.color for own in LOOKS.values())  # where many of them, and few of ours, meet
 _CLOSE = 18.0  # distance of colours below which another is looked for
 
@@ -204,6 +204,12 @@ def titled(width: float, *paragraphs: str) -> str:
     """The title of a figure of some width, in lines that fit."""
     letters = int(14.6 * width)
     return "\n".join(textwrap.fill(each, letters) for each in paragraphs if each)
+
+
+def without(names: Iterable[str]) -> str:
+    """What a title says of those who are not in the figure."""
+    listed = ", ".join(names)
+    return f"nothing to show of {listed}" if listed else ""
 
 
 @contextmanager

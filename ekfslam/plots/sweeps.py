@@ -13,7 +13,17 @@ from matplotlib.ticker import MaxNLocator
 
 from ekfslam.geometry import Array
 from ekfslam.plots.rows import numbers
-from ekfslam.plots.sheets import LARGEST, Row, add_legend, numbered, rows_of, scale, sheet
+from ekfslam.plots.sheets import (
+    LARGEST,
+    Row,
+    add_legend,
+    counted,
+    ends,
+    numbered,
+    rows_of,
+    scale,
+    sheet,
+)
 from ekfslam.plots.style import TRUTH, Look
 
 _DODGE = 0.03  # how far aside of each other estimators are drawn in all, as a share of the abscissa
@@ -56,7 +66,7 @@ class _Sweep(NamedTuple):
 
 
 def plot_sweeps(
-    summary: pd.DataFrame, config: Mapping[str, Any], found: Mapping[str, Look]
+    summary: pd.DataFrame, config: Mapping[str, Any], found: Mapping[str, Look], lacking: str = ""
 ) -> dict[str, Figure]:
     """What estimators reach against a swept value, a figure per sweep and series.
 
@@ -73,6 +83,8 @@ def plot_sweeps(
         Of the campaign, with what was swept.
     found : dict of Look
         Looks of the estimators by name.
+    lacking : str
+        What the title says of estimators that are not in the figure.
 
     Returns
     -------
@@ -85,7 +97,7 @@ def plot_sweeps(
         # Scenarios are what a row of panels is told apart by elsewhere, here they are the abscissa.
         rows = rows.assign(at=rows["scenario"].map(sweep.places), scenario=sweep.name)
         for row in rows_of(rows, *(measure.column for measure in _MEASURES)):
-            figures.append(_draw(row, sweep, found))
+            figures.append(_draw(row, sweep, found, lacking))
     return numbered("sweep", figures)
 
 
@@ -124,13 +136,12 @@ def _measured(value: Any) -> tuple[float, str] | None:
         return None
 
 
-def _draw(row: Row, sweep: _Sweep, found: Mapping[str, Look]) -> Figure:
+def _draw(row: Row, sweep: _Sweep, found: Mapping[str, Look], lacking: str) -> Figure:
     shown = [m for m in _MEASURES if np.isfinite(numbers(row.table, m.column)).any()]
     height = -(-len(shown) // 3)
     places = np.array(list(sweep.places.values()))
-    with sheet(
-        f"{row.title}: {_runs(row)}; bars are one standard error", [1.9] * height, 3, sharex=True
-    ) as axes:
+    top = f"{row.title}: {_runs(row)}; bars are one standard error\n{lacking}"
+    with sheet(top, [1.9] * height, 3, sharex=True) as axes:
         panels = dict(zip(shown, axes.flat, strict=False))
         for measure, panel in panels.items():
             for place, name in enumerate(row.estimators):
@@ -154,8 +165,7 @@ def _draw(row: Row, sweep: _Sweep, found: Mapping[str, Look]) -> Figure:
 
 def _runs(row: Row) -> str:
     counts = numbers(row.table, "runs")
-    few, many = int(counts.min()), int(counts.max())
-    return f"{many} runs each" if few == many else f"{few} to {many} runs each"
+    return counted(int(counts.min()), int(counts.max()), "run") + " each"
 
 
 def _draw_measure(
@@ -181,9 +191,13 @@ def _values(rows: pd.DataFrame, measure: _Measure) -> Array:
     return numbers(rows, measure.column) * measure.unit
 
 
+def _with_bars(rows: pd.DataFrame, measure: _Measure) -> Array:
+    return ends(_values(rows, measure), numbers(rows, measure.bar or measure.column))
+
+
 def _set_ranges(panels: Mapping[_Measure, Axes], table: pd.DataFrame) -> None:
     """Measures that are to be compared have one scale."""
-    nees = np.concatenate([_values(table, measure) for measure in _NEES])
+    nees = np.concatenate([_with_bars(table, measure) for measure in _NEES])
     heading = np.nan_to_num(np.concatenate([_values(table, measure) for measure in _HEADING]))
     for measure, panel in panels.items():
         if measure in _NEES:

@@ -8,6 +8,7 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from ekfslam.estimates import OK
+from ekfslam.evaluation.paired import FEWEST
 from ekfslam.evaluation.statistics import chi2_interval, share_interval
 from ekfslam.report.comparison import Finding, Group, by_side, called
 from ekfslam.report.folder import CampaignFolder
@@ -257,10 +258,20 @@ def _pairs(pairs: pd.DataFrame) -> Iterator[Finding]:
     if len(seen):
         items = [f"{row['robot']}: " * several + str(row["verdict"]) for _, row in seen.iterrows()]
         yield Finding("On the same seeds it is seen that", tuple(items))
-    rest = pairs[pairs["better"].isna()]
-    if len(rest):
-        items = []
-        for metric, some in rest.groupby("metric", sort=False):
-            words = [f"{row['a']} and {row['b']}" for _, row in some.iterrows()]
-            items.append(f"{metric}: {listed(dict.fromkeys(words))}")
-        yield Finding("On the same seeds nobody is seen to be better between", tuple(items))
+    told = pairs["seeds"] >= FEWEST
+    yield from _unseen(
+        "On the same seeds nobody is seen to be better between",
+        pairs[pairs["better"].isna() & told],
+    )
+    yield from _unseen(
+        f"Fewer than {FEWEST} seeds with a number of both, too few to tell", pairs[~told]
+    )
+
+
+def _unseen(words: str, pairs: pd.DataFrame) -> Iterator[Finding]:
+    items = []
+    for metric, some in pairs.groupby("metric", sort=False):
+        names = [f"{row['a']} and {row['b']}" for _, row in some.iterrows()]
+        items.append(f"{metric}: {listed(dict.fromkeys(names))}")
+    if items:
+        yield Finding(words, tuple(items))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from ekfslam.experiments.comparison import without_estimate
 from ekfslam.plots import plot_consistency, plot_errors, plot_times
 from ekfslam.plots.campaign import plot_campaign
 from ekfslam.plots.style import svg
@@ -167,13 +168,15 @@ def of_comparison(results: ComparisonFolder, ink: Ink) -> list[Drawing]:
     found = []
     for run in runs_of(results.trajectories):
         rows = _plain(run.rows)
-        notes = results.config["datasets"].get(run.rows["dataset"].iloc[0], {}).get("notes", ())
+        dataset = run.rows["dataset"].iloc[0]
+        notes = results.config["datasets"].get(dataset, {}).get("notes", ())
+        absent = without_estimate(results.summary[results.summary["dataset"] == dataset])
         some, every = _thinned(rows)
         drawn_of = f" Drawn from every {every}th step." if every > 1 else ""
         robots = list(rows["robot"].unique()) if run.robots else [None]
         for robot in robots:
             whose = f"{run.title}, {robot}" if robot else run.title
-            figure = plot_errors(some, robot)
+            figure = plot_errors(some, robot, map(_escaped, absent))
             found.append(_drawing(whose, "errors", figure, ink, drawn_of))
             figure = plot_consistency(rows, robot, [_escaped(str(note)) for note in notes])
             found.append(_drawing(whose, "consistency", figure, ink))
