@@ -470,12 +470,33 @@ def test_a_figure_fits_the_width_that_is_asked_for(run, name):
 def test_the_title_says_of_whom_there_is_nothing_to_show(run):
     blind = without_truth(run)[0]
     for figure in (
-        plots.plot_map(*run, absent=["mine (failed)"]),
-        plots.plot_errors(run[0], absent=["mine (failed)"]),
-        plots.plot_errors(blind, absent=["mine (failed)"]),
+        plots.plot_map(*run, absent={"mine": "failed"}),
+        plots.plot_errors(run[0], absent={"mine": "failed"}),
+        plots.plot_errors(blind, absent={"mine": "failed"}),
+        plots.plot_consistency(run[0], absent={"mine": "failed"}),
+        plots.plot_times(run[0].assign(time_step_s=1e-3), absent={"mine": "failed"}),
     ):
         assert figure.get_suptitle().endswith("\nnothing to show of mine (failed)")
     assert "nothing" not in plots.plot_errors(run[0]).get_suptitle()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_looks_do_not_depend_on_who_has_failed(run, name):
+    """Own filters whose first choice is the same look: one of them gives way."""
+    alike = [f"mine:Filter{number}" for number in range(100)]
+    alike = [each for each in alike if plots.look(each) == plots.look(alike[0])][:3]
+    first, second, third = alike
+    both = plots.looks(alike)
+    assert both[second] != plots.look(second)
+    assert plots.looks([third, second, first]) == both
+    plot = getattr(plots, f"plot_{name}")
+    renamed = [table.assign(estimator=second, time_step_s=1e-3) for table in run]
+    figure = plot(
+        *(renamed if name == "map" else renamed[:1]), absent={third: "failed", first: "skipped"}
+    )
+    drawn = [artist.get_color() for axes in figure.axes for artist in axes.lines]
+    assert both[second].color in drawn
+    assert both[first].color not in drawn
 
 
 # Several robots --------------------------------------------------------------------------------

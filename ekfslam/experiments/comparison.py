@@ -36,10 +36,10 @@ class _File(NamedTuple):
     write: Callable[[], None]
 
 
-def without_estimate(summary: pd.DataFrame) -> list[str]:
-    """Estimators of which the rows of a dataset hold no estimate, and why."""
+def without_estimate(summary: pd.DataFrame) -> dict[str, str]:
+    """Estimators of which the rows of a dataset hold no estimate: why, by name."""
     once = summary.drop_duplicates("estimator").set_index("estimator")["status"]
-    return [f"{who} ({why})" for who, why in once.items() if why in (FAILED, SKIPPED)]
+    return {str(who): why for who, why in once.items() if why in (FAILED, SKIPPED)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,13 +124,16 @@ class Comparison:
 
         name = self._name(dataset)
         notes = self.datasets[name].notes
+        options = {"absent": self._absent(name)} | options
         return plot_consistency(self._of(self.trajectories, name), robot, notes, **options)
 
     def plot_times(self, dataset: str | None = None, **options: Any) -> Figure:
         """Time per step; options are those of `ekfslam.plots.plot_times`."""
         from ekfslam.plots import plot_times
 
-        return plot_times(self._of(self.trajectories, self._name(dataset)), **options)
+        name = self._name(dataset)
+        options = {"absent": self._absent(name)} | options
+        return plot_times(self._of(self.trajectories, name), **options)
 
     def save(
         self,
@@ -202,7 +205,7 @@ class Comparison:
             raise UnknownNameError("dataset of this comparison", dataset, self.datasets)
         return dataset
 
-    def _absent(self, dataset: str) -> list[str]:
+    def _absent(self, dataset: str) -> dict[str, str]:
         return without_estimate(self._of(self.summary, dataset))
 
     @staticmethod

@@ -72,9 +72,9 @@ def plot_campaign(
     )
 
 
-def _absent(runs: pd.DataFrame) -> list[str]:
-    """Estimators that have no estimate at any seed of a scenario, why, and where if not in all."""
-    listed = []
+def _absent(runs: pd.DataFrame) -> dict[str, str]:
+    """Estimators that have no estimate at any seed of a scenario: why, and where if not in all."""
+    listed = {}
     scenarios = runs["scenario"].nunique()
     for name, rows in runs.groupby("estimator", sort=False):
         nothing = rows["status"].isin([FAILED, SKIPPED]).groupby(rows["scenario"], sort=False).all()
@@ -82,7 +82,7 @@ def _absent(runs: pd.DataFrame) -> list[str]:
         if places:
             why = rows.loc[rows["scenario"].astype(str) == places[0], "status"].iloc[0]
             where = f" on {places[0]}" if len(places) == 1 else f" on {len(places)} scenarios"
-            listed.append(f"{name} ({why}{where * (len(places) < scenarios)})")
+            listed[str(name)] = f"{why}{where * (len(places) < scenarios)}"
     return listed
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from ekfslam.evaluation.statistics import chi2_interval
 from ekfslam.geometry import Array
 from ekfslam.plots.panels import FEW, INTERVAL, draw_lines, finish, nothing, say
 from ekfslam.plots.rows import Series, check_one_run, numbers, of_robot, series_of, typical
-from ekfslam.plots.style import COLUMN, PAGE, TRUTH, Key, drawing, titled
+from ekfslam.plots.style import COLUMN, PAGE, TRUTH, Key, drawing, titled, without
 from ekfslam.plots.thinning import many
 
 PROBABILITY = 0.95
@@ -39,6 +39,7 @@ def plot_consistency(
     trajectories: pd.DataFrame,
     robot: str | None = None,
     notes: Iterable[str] = (),
+    absent: Mapping[str, str] | None = None,
     width: float = PAGE,
 ) -> Figure:
     """NEES of the pose and NIS per degree of freedom against their 95 % intervals.
@@ -58,6 +59,8 @@ def plot_consistency(
         Whose poses, where there are several robots; the first one by default.
     notes : iterable of str
         Notes of the dataset; those that speak of NEES are shown where NEES is.
+    absent : mapping of str to str, optional
+        As for `plot_errors`.
     width : float
         Of the figure [in]: a page's by default, `ekfslam.plots.COLUMN` for one column of a paper.
 
@@ -72,10 +75,10 @@ def plot_consistency(
     UnknownNameError
         If it holds no such robot.
     """
-    title = check_one_run(trajectories)
+    title, absent = check_one_run(trajectories), absent or {}
     trajectories, whose = of_robot(trajectories, robot)
     title += whose
-    everything = list(series_of(trajectories))
+    everything = list(series_of(trajectories, absent))
     kind = next((kind for kind in _NEES if any(_has(kind.column, s) for s in everything)), _NEES[0])
     judged = [series for series in everything if _has(kind.column, series)]
     names = list(dict.fromkeys(series.name for series in judged))
@@ -84,7 +87,7 @@ def plot_consistency(
     if not (names or filters or particles):
         return nothing(title, "no NEES and no NIS to show")
     said = [_ONE_SAMPLE, *(note for note in notes if "NEES" in note)] if names else []
-    heading = titled(width, title, *said)
+    heading = titled(width, title, *said, without(absent))
     abreast = 2 if len(filters) > 3 and width > COLUMN else 1  # or they would be a long strip
     drawn = [filters[i : i + abreast] for i in range(0, len(filters), abreast)]
     rows = len(names) + len(drawn) + bool(particles)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,7 +49,7 @@ def plot_map(
     trajectories: pd.DataFrame,
     landmarks: pd.DataFrame,
     known: ArrayLike | None = None,
-    absent: Iterable[str] = (),
+    absent: Mapping[str, str] | None = None,
     width: float = PAGE,
 ) -> Figure:
     """Map of a run: true and estimated paths, landmarks with 3-sigma ellipses.
@@ -68,8 +68,8 @@ def plot_map(
         Rows of one dataset and seed.
     known : (L, 2) array_like, optional
         True landmarks [m]; by default those in the table.
-    absent : iterable of str
-        Estimators of which there is nothing to show, which the title says.
+    absent : mapping of str to str, optional
+        Estimators of which there is nothing to show, and why; the title says so.
     width : float
         Of the figure [in]: a page's by default, `ekfslam.plots.COLUMN` for one column of a paper.
 
@@ -82,8 +82,8 @@ def plot_map(
     InputError
         If the tables hold several runs or lack columns.
     """
-    title = check_one_run(trajectories, landmarks)
-    contents = [_content(series, landmarks) for series in final_series(trajectories)]
+    title, absent = check_one_run(trajectories, landmarks), absent or {}
+    contents = [_content(series, landmarks) for series in final_series(trajectories, absent)]
     contents = [content for content in contents if content.paths]
     true_paths = _true_paths(trajectories)
     true_map = _true_map(landmarks) if known is None else np.asarray(known, float).reshape(-1, 2)

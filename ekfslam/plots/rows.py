@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -91,17 +91,25 @@ def of_robot(trajectories: pd.DataFrame, robot: str | None) -> tuple[pd.DataFram
     return trajectories[trajectories["robot"] == chosen], f", {chosen}"
 
 
-def series_of(table: pd.DataFrame) -> Iterator[Series]:
-    """The series of a table in order of appearance."""
-    by_name = looks(map(str, table["estimator"].unique()))
+def series_of(table: pd.DataFrame, absent: Iterable[str] = ()) -> Iterator[Series]:
+    """The series of a table in order of appearance.
+
+    Parameters
+    ----------
+    table : DataFrame
+    absent : iterable of str
+        Estimators without a row, who have looks all the same: those of others do not depend on who
+        has failed.
+    """
+    by_name = looks([*map(str, table["estimator"].unique()), *absent])
     for (estimator, name), rows in table.groupby(["estimator", "series"], sort=False):
         yield Series(str(estimator), str(name), rows, by_name[str(estimator)])
 
 
-def final_series(table: pd.DataFrame) -> list[Series]:
+def final_series(table: pd.DataFrame, absent: Iterable[str] = ()) -> list[Series]:
     """Of each estimator the series that knows most: smoothed if there is one, else online."""
     best: dict[str, Series] = {}
-    for series in series_of(table):
+    for series in series_of(table, absent):
         if series.estimator not in best or series.name == "smoothed":
             best[series.estimator] = series
     return list(best.values())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +35,7 @@ _ROWS = ("x error [m]", "y error [m]", "heading error [deg]")
 def plot_errors(
     trajectories: pd.DataFrame,
     robot: str | None = None,
-    absent: Iterable[str] = (),
+    absent: Mapping[str, str] | None = None,
     width: float = PAGE,
 ) -> Figure:
     """Errors of x, y and heading against time within the estimator's own 3-sigma band.
@@ -52,8 +52,8 @@ def plot_errors(
         Rows of one dataset and seed.
     robot : str, optional
         Whose poses, where there are several robots; the first one by default.
-    absent : iterable of str
-        Estimators of which there is nothing to show, which the title says.
+    absent : mapping of str to str, optional
+        Estimators of which there is nothing to show, and why; the title says so.
     width : float
         Of the figure [in]: a page's by default, `ekfslam.plots.COLUMN` for one column of a paper.
 
@@ -68,25 +68,30 @@ def plot_errors(
     UnknownNameError
         If it holds no such robot.
     """
-    title = check_one_run(trajectories)
+    title, absent = check_one_run(trajectories), absent or {}
     trajectories, whose = of_robot(trajectories, robot)
     title += whose
-    curves = [_error_curve(series) for series in series_of(trajectories)]
+    curves = [_error_curve(series) for series in series_of(trajectories, absent)]
     curves = [curve for curve in curves if np.isfinite(curve.error).any()]
     if curves:
         heading = titled(width, f"{title}: error and own ±3σ band", without(absent))
         return _errors(curves, heading, width)
     heading = f"{title}: no truth, so no error; what the estimators claim"
-    return _deviations(trajectories, title, titled(width, heading, without(absent)), width)
+    everything = list(series_of(trajectories, absent))
+    return _deviations(everything, title, titled(width, heading, without(absent)), width)
 
 
-def plot_times(trajectories: pd.DataFrame, width: float = PAGE) -> Figure:
+def plot_times(
+    trajectories: pd.DataFrame, absent: Mapping[str, str] | None = None, width: float = PAGE
+) -> Figure:
     """Time per step of each estimator that measures it, of several robots that of them all.
 
     Parameters
     ----------
     trajectories : DataFrame
         Rows of one dataset and seed.
+    absent : mapping of str to str, optional
+        As for `plot_errors`.
     width : float
         Of the figure [in]: a page's by default, `ekfslam.plots.COLUMN` for one column of a paper.
 
@@ -99,9 +104,9 @@ def plot_times(trajectories: pd.DataFrame, width: float = PAGE) -> Figure:
     InputError
         If the table holds several runs or lacks columns.
     """
-    title = check_one_run(trajectories)
+    title, absent = check_one_run(trajectories), absent or {}
     trajectories, _ = of_robot(trajectories, None)  # every robot's rows hold the same times
-    timed = {series.estimator: series for series in series_of(trajectories)}
+    timed = {series.estimator: series for series in series_of(trajectories, absent)}
     curves = [(name, _times(series)) for name, series in timed.items()]
     curves = [(name, times) for name, times in curves if np.isfinite(times).any()]
     if not curves:
@@ -127,7 +132,7 @@ def plot_times(trajectories: pd.DataFrame, width: float = PAGE) -> Figure:
             )
         axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
         plain_numbers(axes.yaxis)
-        finish(figure, titled(width, f"{title}: time of each step"), [axes])
+        finish(figure, titled(width, f"{title}: time of each step", without(absent)), [axes])
     return figure
 
 
@@ -210,12 +215,10 @@ def _draw_error(panel: Axes, curve: _Curve, row: int, limit: float) -> None:
     draw_line(panel, time, error, color=color)
 
 
-def _deviations(trajectories: pd.DataFrame, title: str, heading: str, width: float) -> Figure:
+def _deviations(everything: list[Series], title: str, heading: str, width: float) -> Figure:
     """Without a truth: what the estimators claim."""
     curves = [
-        (series, _claimed(series))
-        for series in series_of(trajectories)
-        if np.isfinite(_claimed(series)).any()
+        (series, _claimed(series)) for series in everything if np.isfinite(_claimed(series)).any()
     ]
     if not curves:
         return nothing(title, "no errors and no covariances to show")

@@ -150,11 +150,12 @@ def looks(estimators: Iterable[str]) -> dict[str, Look]:
     Parameters
     ----------
     estimators : iterable of str
-        Names, also several times. Those of `LOOKS` always have their own look; where others come
-        close to it or to one another in colour, or share a marker, the first one keeps it.
+        Names, in any order and also several times. Those of `LOOKS` always have their own look;
+        where others come close to it or to one another in colour, or share a marker, the first one
+        by the alphabet keeps it.
     """
     found: dict[str, Look] = {}
-    for name in sorted(dict.fromkeys(estimators), key=lambda name: name not in LOOKS):
+    for name in sorted(set(estimators), key=lambda name: (name not in LOOKS, name)):
         taken = list(found.values())
         found[name] = min(_choices(name), key=lambda choice: _clash(choice, taken))
     return found
@@ -206,9 +207,9 @@ def titled(width: float, *paragraphs: str) -> str:
     return "\n".join(textwrap.fill(each, letters) for each in paragraphs if each)
 
 
-def without(names: Iterable[str]) -> str:
-    """What a title says of those who are not in the figure."""
-    listed = ", ".join(names)
+def without(absent: Mapping[str, str]) -> str:
+    """What a title says of those who are not in the figure, by name, and why."""
+    listed = ", ".join(f"{name} ({why})" for name, why in absent.items())
     return f"nothing to show of {listed}" if listed else ""
 
 

@@ -170,18 +170,20 @@ def of_comparison(results: ComparisonFolder, ink: Ink) -> list[Drawing]:
         rows = _plain(run.rows)
         dataset = run.rows["dataset"].iloc[0]
         notes = results.config["datasets"].get(dataset, {}).get("notes", ())
-        absent = without_estimate(results.summary[results.summary["dataset"] == dataset])
+        lacking = without_estimate(results.summary[results.summary["dataset"] == dataset])
+        absent = {_escaped(name): why for name, why in lacking.items()}
+        told = [_escaped(str(note)) for note in notes]
         some, every = _thinned(rows)
         drawn_of = f" Drawn from every {every}th step." if every > 1 else ""
         robots = list(rows["robot"].unique()) if run.robots else [None]
         for robot in robots:
             whose = f"{run.title}, {robot}" if robot else run.title
-            figure = plot_errors(some, robot, map(_escaped, absent))
+            figure = plot_errors(some, robot, absent)
             found.append(_drawing(whose, "errors", figure, ink, drawn_of))
-            figure = plot_consistency(rows, robot, [_escaped(str(note)) for note in notes])
+            figure = plot_consistency(rows, robot, told, absent)
             found.append(_drawing(whose, "consistency", figure, ink))
         if rows["time_step_s"].notna().any():
-            found.append(_drawing(run.title, "times", plot_times(rows), ink))
+            found.append(_drawing(run.title, "times", plot_times(rows, absent), ink))
     return found
 
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from ekfslam.experiments.comparison import without_estimate
 from ekfslam.geometry import Array
 from ekfslam.plots.rows import Series, final_series, numbers, series_of, typical
 from ekfslam.plots.thinning import largest
@@ -88,13 +89,15 @@ def _map(
     results: ComparisonFolder,
 ) -> Map:
     stops = _stops(rows)
-    final = final_series(rows)
+    runs = results.summary[results.summary["dataset"] == rows["dataset"].iloc[0]]
+    absent = without_estimate(runs)
+    final = final_series(rows, absent)
     best = {(series.estimator, series.name) for series in final}
     frame = _frame(rows, landmarks, final)
     tracks: list[dict[str, Any]] = []
     maps: list[dict[str, Any]] = []
     sightings: list[list[list[int]]] = []
-    for series in series_of(rows):
+    for series in series_of(rows, absent):
         shown = (series.estimator, series.name) in best
         own = landmarks[landmarks["estimator"] == series.estimator]
         own = own[own["series"] == series.name].dropna(subset=["x_m", "y_m"])
