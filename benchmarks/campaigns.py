@@ -24,7 +24,7 @@ def campaigns() -> list[list[Any]]:
 
 
 def seconds(workers: int) -> float:
-    command = [sys.executable, "-m", "ekfslam.cli", "campaign", str(CAMPAIGN), "--no-figures"]
+    command = [sys.executable, "-m", "ekfslam", "campaign", str(CAMPAIGN), "--no-figures"]
     command += ["--seeds", str(SEEDS), "--workers", str(workers)]
     with tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()

@@ -109,7 +109,7 @@ def test_the_command_shows_the_log(option, lines, tmp_path):
     )
     words = [*filter(None, [option]), "compare", "small.toml"]
     run = subprocess.run(
-        [sys.executable, "-m", "ekfslam.cli", *words, "--estimators", "dead-reckoning,mine:Raises"],
+        [sys.executable, "-m", "ekfslam", *words, "--estimators", "dead-reckoning,mine:Raises"],
         cwd=tmp_path,
         env=PLAIN,
         capture_output=True,

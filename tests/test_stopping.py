@@ -45,7 +45,7 @@ def stopped(tmp_path):
 
     def run(words, number, there, patience=120.0):
         command = subprocess.Popen(
-            [sys.executable, "-m", "ekfslam.cli", *words.split()],
+            [sys.executable, "-m", "ekfslam", *words.split()],
             cwd=tmp_path,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
