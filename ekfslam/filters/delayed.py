@@ -15,6 +15,7 @@ import numpy as np
 
 from ekfslam.blas import subtract_product, subtract_square
 from ekfslam.compiled import compiled, inlined, lean
+from ekfslam.filters.triangle import downdate_row
 
 FROM = 120  # coordinates of a state from which waiting pays
 ROWS = 128  # that wait at most: on small maps fewer pay
@@ -84,13 +85,14 @@ def exact_rows(late, held, n, H, at, sizes, m, d, rows):  # type: ignore[no-unty
     rows : (>= d m, >= n) ndarray
         Changed in place.
     """
-    factors = np.zeros((d * m, held))
+    factors = np.empty((d * m, held))
     for i in range(m):
         for k in range(held):
-            for c in range(sizes[i]):
-                entry = late[k, at[i] + c]
-                for a in range(d):
-                    factors[d * i + a, k] += H[i, a, 3 + c] * entry
+            for a in range(d):
+                total = 0.0
+                for c in range(sizes[i]):
+                    total += H[i, a, 3 + c] * late[k, at[i] + c]
+                factors[d * i + a, k] = total
     subtract_product(rows, factors, late, d * m, held, n)
 
 
@@ -99,12 +101,7 @@ def keep(slam, m, poses):  # type: ignore[no-untyped-def]
     """The next m rows of `late` have corrected the mean: correct the poses, and let them wait."""
     P, late, first, n = slam.covariance, slam.late, slam.held[0], slam.size[0]
     for i in range(poses):
-        row = P[i, i:n]
-        for k in range(first, first + m):
-            tail = late[k, i:n]
-            factor = tail[0]
-            for j in range(row.size):
-                row[j] -= factor * tail[j]
+        downdate_row(P, late, first, first + m, n, i)
     clear(late, first, first + m, 0, poses)
     slam.held[0] = first + m
 

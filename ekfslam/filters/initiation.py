@@ -30,6 +30,7 @@ from ekfslam.filters.measure import (
     rows_of,
 )
 from ekfslam.filters.options import ALLOCATED, MAPPED, NAIVE
+from ekfslam.filters.triangle import copy
 from ekfslam.filters.variants import EKF, begin
 from ekfslam.models.sensors import BEARING, RANGE, RANGE_BEARING
 
@@ -122,7 +123,7 @@ def start_uninformed(state, sightings, i, settings, log, journal):  # type: igno
     noise[0, 0] = noise[1, 1] = settings.variance
     if settings.initiation == ALLOCATED and register.offsets[index] >= 0:
         at = register.offsets[index]
-        slam.mean[at : at + POINT] = target[:POINT]
+        copy(target, POINT, slam.mean[at:])
         register.sightings[index] = 1
     else:
         enter(slam, register, index, robot, target, POINT, G, noise)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ekfslam.compiled import compiled
+from ekfslam.filters.triangle import copy
 
 
 @compiled
@@ -30,8 +31,8 @@ def record(  # type: ignore[no-untyped-def]
     journal.event[e], journal.row[e], journal.robot[e], journal.step[e] = event, row, robot, step
     journal.landmark[e], journal.target[e] = landmark, target
     journal.size[e], journal.rows[e] = size, d
-    journal.point[e, :3] = pose
-    journal.point[e, 3 : 3 + size] = state[:size]
+    copy(pose, 3, journal.point[e])
+    copy(state, size, journal.point[e, 3:])
     for a in range(d):
         journal.innovation[e, a] = innovation[a]
         for c in range(min(3 + size, H.shape[1])):

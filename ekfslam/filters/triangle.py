@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekfslam.compiled import compiled, lean
+from ekfslam.compiled import compiled, inlined, lean
 
 
 @lean
@@ -177,7 +177,7 @@ def read_rows(P, n, which, rows):  # type: ignore[no-untyped-def]
         at = which[k]
         for j in range(at):
             rows[k, j] = P[j, at]
-        rows[k, at:n] = P[at, at:n]
+        copy(P[at, at:n], n - at, rows[k, at:n])
 
 
 @compiled
@@ -187,7 +187,7 @@ def write_rows(P, n, which, rows):  # type: ignore[no-untyped-def]
         at = which[k]
         for j in range(at):
             P[j, at] = rows[k, j]
-        P[at, at:n] = rows[k, at:n]
+        copy(rows[k, at:n], n - at, P[at, at:n])
 
 
 @compiled
@@ -207,11 +207,18 @@ def times_symmetric(P, n, w, rows):  # type: ignore[no-untyped-def]
         rows[1, i] += second
 
 
+@inlined
+def copy(source, n, out):  # type: ignore[no-untyped-def]
+    """Copy n numbers; an assignment of slices takes another second to compile."""
+    for j in range(n):
+        out[j] = source[j]
+
+
 @compiled
 def copy_triangle(P, n, out):  # type: ignore[no-untyped-def]
     """Copy the triangle, and no memory that was never used."""
     for i in range(n):
-        out[i, i:n] = P[i, i:n]
+        copy(P[i, i:n], n - i, out[i, i:n])
 
 
 @compiled
@@ -231,22 +238,25 @@ def rearrange(P, n, order):  # type: ignore[no-untyped-def]
             for i in range(first, min(first + block, n)):
                 for j in range(left, min(left + block, i)):
                     P[i, j] = P[j, i]
-    if (order == np.arange(n)).all():
+    kept = True
+    for i in range(n):
+        kept = kept and order[i] == i
+    if kept:
         return
     row = np.empty(n)
     for i in range(n):
-        row[:] = P[i, :n]
+        copy(P[i], n, row)
         for j in range(n):
             P[i, j] = row[order[j]]
     placed = np.zeros(n, np.bool_)
     for start in range(n):  # along each cycle of the permutation
         if placed[start]:
             continue
-        row[:] = P[start, :n]
+        copy(P[start], n, row)
         at = start
         while order[at] != start:
-            P[at, :n] = P[order[at], :n]
+            copy(P[order[at]], n, P[at])
             placed[at] = True
             at = order[at]
-        P[at, :n] = row
+        copy(row, n, P[at])
         placed[at] = True

@@ -16,6 +16,7 @@ from ekfslam.estimates import Decision, Linearizations
 from ekfslam.filters.delayed import bring_up_to_date
 from ekfslam.filters.kernels import remove, replace
 from ekfslam.filters.measure import INVERSE_DEPTH, POINT, POSE, point_of
+from ekfslam.filters.triangle import copy
 from ekfslam.filters.variants import INVARIANT
 from ekfslam.filters.visibility import SURE, sighted, surely_sees
 from ekfslam.models.landmarks import linearity
@@ -100,9 +101,10 @@ def to_points(state, sightings, first, last, settings, log, journal):  # type: i
             journal.event[e], journal.row[e], journal.target[e] = CONVERTED, -1, -1
             journal.robot[e], journal.step[e] = sightings.robot[i], state.clock[0]
             journal.landmark[e], journal.size[e], journal.rows[e] = index, INVERSE_DEPTH, POINT
-            journal.point[e, POSE:] = mean[at : at + INVERSE_DEPTH]
-            journal.jacobian[e, :POINT, POSE:] = J
-            journal.innovation[e, :POINT] = point
+            copy(direction, INVERSE_DEPTH, journal.point[e, POSE:])
+            for a in range(POINT):
+                copy(J[a], INVERSE_DEPTH, journal.jacobian[e, a, POSE:])
+            copy(point, POINT, journal.innovation[e])
         replace(mean, P, slam.size[0], at, INVERSE_DEPTH, point, POINT, J)
         slam.size[0] -= INVERSE_DEPTH - POINT
         register.sizes[index] = POINT

@@ -25,6 +25,7 @@ import numpy as np
 from ekfslam.compiled import compiled, inlined, lean
 from ekfslam.filters.kernels import shift
 from ekfslam.filters.measure import POINT, POSE, expect, foresee, locate, placed
+from ekfslam.filters.triangle import copy
 from ekfslam.filters.variants import fej, ideal, oc, right_invariant, robocentric
 
 NAMES = ("ekf", "iekf", "ekf-ideal", "ekf-fej", "ekf-oc", "ekf-ri", "ekf-robocentric")
@@ -106,12 +107,13 @@ def begin(variant, slam, kind, mount, pose, value, R, i, target, G, noise):  # t
     elif variant in (IDEAL, FEJ, OC):
         n, points = slam.size[0], slam.points
         at = points.at
-        at[n : n + 2] = points.first[n : n + 2] = target[:2]
+        copy(target, POINT, at[n:])
+        copy(target, POINT, points.first[n:])
         if variant == OC:  # less all that moved the points before
             at[n] -= points.first[pose]
             at[n + 1] -= points.first[pose + 1]
         elif variant == IDEAL and not np.isnan(points.places[i, 0]):
-            at[n : n + 2] = points.places[i]
+            copy(points.places[i], POINT, at[n:])
             sensor, unused = placed(mount, at[pose : pose + POSE]), np.empty((2, 7))
             expect(kind, POINT, sensor, at[n : n + 2], value, unused)  # as if seen exactly
         elsewhere = np.empty(2)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from ekfslam.compiled import compiled
 from ekfslam.filters.kernels import advance, disperse
+from ekfslam.filters.triangle import copy
 
 
 @compiled
@@ -23,5 +24,5 @@ def move(mean, P, n, points, at, delta, Q):  # type: ignore[no-untyped-def]
     heading = mean[at + 2]  # of the noise: any choice keeps the directions unobservable
     x, y = points[at], points[at + 1]
     advance(mean, at, delta)
-    points[at : at + 3] = mean[at : at + 3]
+    copy(mean[at:], 3, points[at:])
     disperse(P, n, at, points[at] - x, points[at + 1] - y, heading, Q)

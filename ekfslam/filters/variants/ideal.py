@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from ekfslam.compiled import compiled
 from ekfslam.filters.kernels import advance, disperse
+from ekfslam.filters.triangle import copy
 
 
 @compiled
@@ -22,5 +23,5 @@ def move(mean, P, n, points, at, delta, Q, truth):  # type: ignore[no-untyped-de
     """
     x, y, heading = points[at], points[at + 1], points[at + 2]
     advance(mean, at, delta)
-    points[at : at + 3] = truth
+    copy(truth, 3, points[at:])
     disperse(P, n, at, points[at] - x, points[at + 1] - y, heading, Q)

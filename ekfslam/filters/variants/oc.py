@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from ekfslam.compiled import compiled
 from ekfslam.filters.kernels import advance, disperse
+from ekfslam.filters.triangle import copy
 
 
 @compiled
@@ -44,5 +45,5 @@ def move(mean, P, n, points, first, at, delta, Q, seen):  # type: ignore[no-unty
     first[at] += qx - x
     first[at + 1] += qy - y
     advance(mean, at, delta)
-    points[at : at + 3] = mean[at : at + 3]
+    copy(mean[at:], 3, points[at:])
     disperse(P, n, at, points[at] - x, points[at + 1] - y, heading, Q)
