@@ -89,7 +89,7 @@ def plot_run_means(
                 panels[0].set_title(words, loc="left")
             for panel, name in zip(axes[-1], _COORDINATES, strict=True):
                 panel.set_xlabel(f"mean NEES along a run, {name}")
-            handles = _box_handles() | (_arrow_handle() if _any_arrow(axes) else {})
+            handles = _box_handles() | _arrow_handles(axes)
             add_legend(axes[0, 0].figure, [], found, handles)
         return axes[0, 0].figure
 
@@ -101,9 +101,10 @@ def _draw_box(panel: Axes, values: Array, place: int, color: str) -> None:
     values = values[np.isfinite(values)]
     if not len(values):
         return
-    if np.median(values) > LARGEST:  # a row would look as if there were nothing
+    if values.max() > LARGEST:  # a row would look as if there were nothing, or no more
+        face = color if np.median(values) > LARGEST else "white"
         at_edge: dict[str, Any] = {"transform": panel.get_yaxis_transform(), "markersize": 4}
-        panel.plot(0.98, place, ">", color=color, **at_edge)
+        panel.plot(0.98, place, ">", color=color, markerfacecolor=face, zorder=5, **at_edge)
     low, first, median, third, high = np.quantile(values, [0.05, 0.25, 0.5, 0.75, 0.95])
     panel.hlines(place, low, high, color=color, linewidth=0.8)
     panel.barh(place, third - first, left=first, height=0.6, color=color, alpha=0.35, linewidth=0)
@@ -143,13 +144,15 @@ def _say_beside(panel: Axes, height: float, text: str, va: str = "center_baselin
     )
 
 
-def _any_arrow(axes: np.ndarray) -> bool:
-    return any(line.get_marker() == ">" for panel in axes.flat for line in panel.lines)
-
-
-def _arrow_handle() -> dict[str, Any]:
-    arrow = Line2D([], [], color=QUIET, marker=">", markersize=4, linestyle="none")
-    return {f"median above {plain(LARGEST)}": arrow}
+def _arrow_handles(axes: np.ndarray) -> dict[str, Any]:
+    """Of the arrows that there are."""
+    arrows = [line for panel in axes.flat for line in panel.lines if line.get_marker() == ">"]
+    hollow = {arrow.get_markerfacecolor() == "white" for arrow in arrows}
+    look: dict[str, Any] = {"color": QUIET, "marker": ">", "markersize": 4, "linestyle": "none"}
+    some, most = f"some above {plain(LARGEST)}", f"median above {plain(LARGEST)}"
+    return ({some: Line2D([], [], markerfacecolor="white", **look)} if True in hollow else {}) | (
+        {most: Line2D([], [], **look)} if False in hollow else {}
+    )
 
 
 def _box_handles() -> dict[str, Any]:
