@@ -55,7 +55,7 @@ rates: $(VENV)/.tools
 study: $(VENV)/.installed
 	$(BIN)/ekfslam study association
 
-# Runs the campaigns of docs/consistency.md, fastslam.md and localization.md, or what is left of them: about an
+# Runs the campaigns of docs/consistency.md, fastslam.md and localization.md, or what is left of them: half an
 # hour on two cores.
 campaigns: $(VENV)/.installed
 	for campaign in hard-loop loop-15 car-loop heading-sweep circle loop-15-rb \
