@@ -34,7 +34,7 @@ LARGE = 300  # landmarks from which growth is fitted
 
 AGAINST_TEXTBOOK = {  # the form, and how many times faster we must be by number of landmarks
     "textbook, sequential": {20: 15, 100: 7, 300: 5},
-    "textbook, joint": {20: 15, 100: 7, 300: 6},
+    "textbook, joint": {20: 15, 100: 7, 300: 6, 1000: 13, 2000: 25},
 }
 AGAINST_TOOLBOX = {20: 100, 100: 40, 300: 100, 1000: 100, 2000: 100}
 LOCALLY = {  # the same of a filter that works on a part of the map

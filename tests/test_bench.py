@@ -160,6 +160,7 @@ def test_bars_are_ratios_of_what_was_measured():
     found = {row[0]: row[1:] for row in bars(table)}
     assert found["ring, 20 landmarks: ekf, textbook, joint"][3:] == [14.9, ">= 15", False]
     assert found["city, 2000 landmarks: ekf-compressed, textbook, joint"][-1]
+    assert found["ring, 2000 landmarks: ekf, textbook, joint"][-1]
     assert found["ring, 100 landmarks: ekf, gtsam-isam2"][:3] == [10.0, 15.0, "us/step"]
     half = found["city, 2000 landmarks: ekf-compressed, limit of the update"]
     assert half[:2] == pytest.approx([2.1, 4.0])
@@ -167,7 +168,7 @@ def test_bars_are_ratios_of_what_was_measured():
     rising = found["city, ekf-compressed over the limit: at 5000 landmarks, at 1000"]
     assert rising[3] == pytest.approx((9.0 / 25) / 0.4)
     assert rising[-1]
-    assert len(found) == 5
+    assert len(found) == 6
     assert faster({}, "ring", "ekf", "filterpy", 20, 1) == []
 
 
